@@ -50,6 +50,8 @@ async def listen(url):
                 async for message in socket:
                     if isinstance(message, str):
                         continue
+                    if message[0] == 2:  # the time
+                        continue
                     code, channel, _nanoseconds = struct.unpack_from("<BIQ", message)
                     assert code == 1, code
                     known = channels[channel]

@@ -10,6 +10,10 @@
 mod access;
 #[path = "console/browser.rs"]
 mod browser;
+#[path = "console/desk.rs"]
+mod desk;
+#[path = "console/devices.rs"]
+mod devices;
 #[path = "console/devtools.rs"]
 mod devtools;
 #[path = "console/foxglove.rs"]

@@ -119,10 +119,10 @@ pub(super) fn lens(at: TimeNs, name: &str, intrinsics: &Intrinsics) -> CameraCal
         width,
         height,
         distortion_model: String::new(),
-        d: Vec::new(),
-        k: vec![fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p: vec![fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        D: Vec::new(),
+        K: vec![fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        R: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        P: vec![fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         frame_id: name.to_owned(),
     }
 }

@@ -7,15 +7,19 @@ use super::record::TickRecord;
 use super::recorder::Level;
 
 /// What was said of each arm.
-pub(super) struct Happened([(OperatingState, Option<Fault>); ARMS_MAX]);
+#[derive(Debug)]
+pub struct Happened([(OperatingState, Option<Fault>); ARMS_MAX]);
 
 impl Happened {
-    pub(super) const fn new() -> Self {
+    /// Of a run that has not begun.
+    #[must_use]
+    #[expect(clippy::new_without_default, reason = "a run begins somewhere")]
+    pub const fn new() -> Self {
         Self([(OperatingState::Disabled, None); ARMS_MAX])
     }
 
     /// What is new in `tick`, in order; nothing in nearly all.
-    pub(super) fn since(&mut self, tick: &TickRecord) -> Vec<(Level, String)> {
+    pub fn since(&mut self, tick: &TickRecord) -> Vec<(Level, String)> {
         let mut news = Vec::new();
         let arms = tick.arms.iter().zip(ARM_NAMES).zip(&mut self.0);
         for ((arm, name), (state, fault)) in arms {

@@ -1,4 +1,4 @@
-//! The log's topics for whoever looks on while the run goes on: channels with their schemas, and messages one by one.
+//! The log's topics for whoever looks on, while the run goes on or at its log: channels with their schemas, and messages one by one.
 
 use hal::{ARMS_MAX, Intrinsics, Pose, TimeNs};
 use prost::Message;
@@ -7,20 +7,29 @@ use super::camera;
 use super::joints::JointMessages;
 use super::json::TimingMessage;
 use super::messages::{
-    CompressedImage, FrameTransform, FrameTransforms, ModelPrimitive, SceneEntity, SceneUpdate,
-    Timestamp, Vector3,
+    CompressedImage, FrameTransform, FrameTransforms, JointState, JointStates, Log, ModelPrimitive,
+    SceneEntity, SceneUpdate, Timestamp, Vector3,
 };
 use super::record::TickRecord;
+use super::recorder::Level;
 use super::safety::SafetyMessage;
 use super::topic::{Schema, Topic};
 use super::writer::{RCM_FRAMES, measured_tip};
 use crate::verify::tip_in_rcm;
+
+pub use super::happened::Happened;
 
 /// The frame that everything else is in.
 pub const SCENE: &str = "scene";
 
 /// The topic of shapes.
 pub const SHAPES: &str = "/scene";
+
+/// The topic of frames.
+pub const TRANSFORMS: &str = "/tf";
+
+/// The topic of what happens, in words.
+pub const EVENTS: &str = "/events";
 
 /// Frames of the tips.
 const TIP_FRAMES: [&str; ARMS_MAX] = ["psm1_tip", "psm2_tip"];
@@ -61,17 +70,44 @@ impl Channel {
 
 /// The topics of a run with so many arms and these cameras.
 #[must_use]
-pub fn channels(arms: usize, cameras: &[String]) -> Vec<Channel> {
-    const OF_TICKS: [Topic; 7] = [
+pub fn of_run(arms: usize, cameras: &[String]) -> Vec<Channel> {
+    let topics = [
         Topic::MeasuredJs,
         Topic::SetpointJs,
         Topic::MeasuredCp,
         Topic::Jaw,
         Topic::Safety,
         Topic::Timing,
+        Topic::Events,
         Topic::Transforms,
     ];
-    let names = OF_TICKS.into_iter().flat_map(|topic| {
+    with_shapes(channels(&topics, arms, cameras))
+}
+
+/// The topics of emulated drives of so many arms, in a world with these cameras.
+#[must_use]
+pub fn of_drives(arms: usize, cameras: &[String]) -> Vec<Channel> {
+    let topics = [
+        Topic::MeasuredJs,
+        Topic::SetpointJs,
+        Topic::Events,
+        Topic::Transforms,
+    ];
+    with_shapes(channels(&topics, arms, cameras))
+}
+
+/// The topics of a log of so many arms and these cameras.
+#[must_use]
+pub fn of_log(arms: usize, cameras: &[String]) -> Vec<Channel> {
+    let mut channels = channels(&Topic::ALL, arms, cameras);
+    let pose = Schema::Protobuf("foxglove.PoseInFrame");
+    let poses = cameras.iter().map(|camera| pose_topic(camera));
+    channels.extend(poses.map(|topic| Channel::new(&topic, pose)));
+    channels
+}
+
+fn channels(topics: &[Topic], arms: usize, cameras: &[String]) -> Vec<Channel> {
+    let names = topics.iter().flat_map(|topic| {
         let names = topic.names().iter().take(arms);
         names.map(move |name| Channel::new(name, topic.schema()))
     });
@@ -82,6 +118,10 @@ pub fn channels(arms: usize, cameras: &[String]) -> Vec<Channel> {
         channels.push(Channel::new(&image_topic(camera), image));
         channels.push(Channel::new(&lens_topic(camera), lens));
     }
+    channels
+}
+
+fn with_shapes(mut channels: Vec<Channel>) -> Vec<Channel> {
     let shapes = Schema::Protobuf("foxglove.SceneUpdate");
     channels.push(Channel::new(SHAPES, shapes));
     channels
@@ -93,10 +133,79 @@ pub fn image_topic(camera: &str) -> String {
     format!("/camera/{camera}")
 }
 
+/// The camera whose images `topic` has, if it has a camera's.
+#[must_use]
+pub fn camera_of(topic: &str) -> Option<&str> {
+    let camera = topic.strip_prefix("/camera/")?;
+    (!camera.contains('/')).then_some(camera)
+}
+
 /// The topic of a camera's lens.
 #[must_use]
 pub fn lens_topic(camera: &str) -> String {
     format!("/camera/{camera}/calibration")
+}
+
+/// The topic of where a camera is.
+pub(super) fn pose_topic(camera: &str) -> String {
+    format!("/camera/{camera}/pose")
+}
+
+/// What `/events` says.
+#[must_use]
+pub fn event(at: TimeNs, level: Level, text: &str) -> Vec<u8> {
+    line(at, level, text.to_owned()).encode_to_vec()
+}
+
+pub(super) fn line(at: TimeNs, level: Level, text: String) -> Log {
+    Log {
+        timestamp: Some(Timestamp::new(at)),
+        level: level.number(),
+        message: text,
+        name: "trocar".to_owned(),
+        ..Log::default()
+    }
+}
+
+/// An axis of drives: its name, where it is and where it is wanted, rad or m, as far as that is known.
+pub type Axis<'a> = (&'a str, Option<f64>, Option<f64>);
+
+/// Where the axes of the arm `arm` are, and where its drives want them, each message with its topic.
+#[must_use]
+pub fn axes<'a>(
+    at: TimeNs,
+    arm: usize,
+    axes: impl Iterator<Item = Axis<'a>> + Clone,
+) -> Vec<(&'static str, Vec<u8>)> {
+    let joints = |position: fn(Axis<'a>) -> Option<f64>| JointStates {
+        timestamp: Some(Timestamp::new(at)),
+        joints: axes
+            .clone()
+            .map(|axis| JointState {
+                name: axis.0.to_owned(),
+                position: position(axis),
+                ..JointState::default()
+            })
+            .collect(),
+    };
+    let messages = [
+        (Topic::MeasuredJs, joints(|(_, position, _)| position)),
+        (Topic::SetpointJs, joints(|(_, _, wanted)| wanted)),
+    ];
+    let named = messages.into_iter().filter_map(|(topic, joints)| {
+        let name = topic.names().get(arm)?;
+        Some((*name, joints.encode_to_vec()))
+    });
+    named.collect()
+}
+
+/// What `tick` says of the safety of each arm, with its topic.
+pub fn safety(tick: &TickRecord) -> impl Iterator<Item = (&'static str, Vec<u8>)> {
+    let arms = tick.arms.iter().zip(Topic::Safety.names());
+    arms.map(|(arm, name)| {
+        let safety = SafetyMessage::new(tick.tick, &arm.report);
+        (*name, serde_json::to_vec(&safety).unwrap_or_default())
+    })
 }
 
 /// The messages of `tick`, each with its topic; the one before in this stream was at `previous`, and the arms' remote centres are at
@@ -125,10 +234,8 @@ pub fn tick(
         }
         add(Topic::SetpointJs, joints.setpoint.encode_to_vec());
         add(Topic::Jaw, joints.jaw.encode_to_vec());
-        let safety = SafetyMessage::new(tick.tick, &arm.report);
-        let safety = serde_json::to_vec(&safety).unwrap_or_default();
-        add(Topic::Safety, safety);
     }
+    messages.extend(safety(tick));
     let timing = TimingMessage::new(tick, previous);
     let timing = serde_json::to_vec(&timing).unwrap_or_default();
     messages.extend(Topic::Timing.names().first().map(|name| (*name, timing)));
@@ -136,9 +243,6 @@ pub fn tick(
     messages.push((TRANSFORMS, transforms));
     messages
 }
-
-/// The topic of frames.
-pub const TRANSFORMS: &str = "/tf";
 
 /// Where frames are in the scene at `at`.
 #[must_use]

@@ -1,21 +1,227 @@
-//! The Foxglove messages that the log uses, as protobuf structs.
+//! The Foxglove messages that the log and live viewers use, as protobuf structs.
 //!
-//! Field numbers as in the schema files of `foxglove-sdk` (`schemas/proto/foxglove/*.proto`, Foxglove SDK 0.30);
-//! [`super::descriptor`] states the same numbers for readers; change both together.
+//! Field numbers as in the schema files of `foxglove-sdk` (`schemas/proto/foxglove/*.proto`, Foxglove SDK 0.30). They are stated here alone:
+//! [`super::descriptor`] tells readers the same from [`FIELDS`].
 
 use hal::TimeNs;
 use hal::count::{count_u32, index};
 use prost::Message;
 
-/// A point in time: `google.protobuf.Timestamp`.
-#[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct Timestamp {
-    /// Whole seconds since the run began.
-    #[prost(int64, tag = "1")]
-    pub(super) seconds: i64,
-    /// The rest, ns.
-    #[prost(int32, tag = "2")]
-    pub(super) nanos: i32,
+/// A message's fields as they are written here: name, kind with number, type.
+pub(super) type Fields = &'static [(&'static str, &'static str, &'static str)];
+
+/// Makes structs of messages, and keeps how their fields are written.
+macro_rules! messages {
+    ($($(#[$about:meta])* struct $name:ident { $(#[prost($($kind:tt)+)] $field:ident: $type:ty,)+ })+) => {
+        $($(#[$about])* pub(super) struct $name { $(#[prost($($kind)+)] pub(super) $field: $type,)+ })+
+
+        /// Every message by name, with its fields.
+        pub(super) const FIELDS: &[(&str, Fields)] = &[
+            $((stringify!($name), &[$((stringify!($field), stringify!($($kind)+), stringify!($type))),+]),)+
+        ];
+    };
+}
+
+messages! {
+    /// A point in time: `google.protobuf.Timestamp`.
+    #[derive(Clone, Copy, PartialEq, Message)]
+    struct Timestamp {
+        #[prost(int64, tag = "1")]
+        seconds: i64,
+        #[prost(int32, tag = "2")]
+        nanos: i32,
+    }
+
+    /// One joint. Every value is `optional` on the wire, so that zero, negative zero and "not known" stay apart.
+    #[derive(Clone, PartialEq, Message)]
+    struct JointState {
+        #[prost(string, tag = "1")]
+        name: String,
+        #[prost(double, optional, tag = "2")]
+        position: Option<f64>,
+        #[prost(double, optional, tag = "3")]
+        velocity: Option<f64>,
+        #[prost(double, optional, tag = "4")]
+        acceleration: Option<f64>,
+        #[prost(double, optional, tag = "5")]
+        effort: Option<f64>,
+    }
+
+    /// Several joints at one time.
+    #[derive(Clone, PartialEq, Message)]
+    struct JointStates {
+        #[prost(message, optional, tag = "1")]
+        timestamp: Option<Timestamp>,
+        #[prost(message, repeated, tag = "2")]
+        joints: Vec<JointState>,
+    }
+
+    /// A point or a displacement.
+    #[derive(Clone, Copy, PartialEq, Message)]
+    struct Vector3 {
+        #[prost(double, tag = "1")]
+        x: f64,
+        #[prost(double, tag = "2")]
+        y: f64,
+        #[prost(double, tag = "3")]
+        z: f64,
+    }
+
+    /// A rotation.
+    #[derive(Clone, Copy, PartialEq, Message)]
+    struct Quaternion {
+        #[prost(double, tag = "1")]
+        x: f64,
+        #[prost(double, tag = "2")]
+        y: f64,
+        #[prost(double, tag = "3")]
+        z: f64,
+        #[prost(double, tag = "4")]
+        w: f64,
+    }
+
+    /// A pose.
+    #[derive(Clone, Copy, PartialEq, Message)]
+    struct Pose {
+        #[prost(message, optional, tag = "1")]
+        position: Option<Vector3>,
+        #[prost(message, optional, tag = "2")]
+        orientation: Option<Quaternion>,
+    }
+
+    /// A pose in a named frame at one time.
+    #[derive(Clone, PartialEq, Message)]
+    struct PoseInFrame {
+        #[prost(message, optional, tag = "1")]
+        timestamp: Option<Timestamp>,
+        #[prost(string, tag = "2")]
+        frame_id: String,
+        #[prost(message, optional, tag = "3")]
+        pose: Option<Pose>,
+    }
+
+    /// Where one frame is in another.
+    #[derive(Clone, PartialEq, Message)]
+    struct FrameTransform {
+        #[prost(message, optional, tag = "1")]
+        timestamp: Option<Timestamp>,
+        #[prost(string, tag = "2")]
+        parent_frame_id: String,
+        #[prost(string, tag = "3")]
+        child_frame_id: String,
+        #[prost(message, optional, tag = "4")]
+        translation: Option<Vector3>,
+        #[prost(message, optional, tag = "5")]
+        rotation: Option<Quaternion>,
+    }
+
+    /// Several of them.
+    #[derive(Clone, PartialEq, Message)]
+    struct FrameTransforms {
+        #[prost(message, repeated, tag = "1")]
+        transforms: Vec<FrameTransform>,
+    }
+
+    /// A shape as a file.
+    #[derive(Clone, PartialEq, Message)]
+    struct ModelPrimitive {
+        #[prost(message, optional, tag = "1")]
+        pose: Option<Pose>,
+        #[prost(message, optional, tag = "2")]
+        scale: Option<Vector3>,
+        #[prost(string, tag = "6")]
+        media_type: String,
+        #[prost(bytes = "vec", tag = "7")]
+        data: Vec<u8>,
+    }
+
+    /// What is in a frame.
+    #[derive(Clone, PartialEq, Message)]
+    struct SceneEntity {
+        #[prost(message, optional, tag = "1")]
+        timestamp: Option<Timestamp>,
+        #[prost(string, tag = "2")]
+        frame_id: String,
+        #[prost(string, tag = "3")]
+        id: String,
+        #[prost(bool, tag = "5")]
+        frame_locked: bool,
+        #[prost(message, repeated, tag = "14")]
+        models: Vec<ModelPrimitive>,
+    }
+
+    /// Things that are new.
+    #[derive(Clone, PartialEq, Message)]
+    struct SceneUpdate {
+        #[prost(message, repeated, tag = "2")]
+        entities: Vec<SceneEntity>,
+    }
+
+    /// An image as a file's bytes.
+    #[derive(Clone, PartialEq, Message)]
+    struct CompressedImage {
+        #[prost(message, optional, tag = "1")]
+        timestamp: Option<Timestamp>,
+        #[prost(bytes = "vec", tag = "2")]
+        data: Vec<u8>,
+        #[prost(string, tag = "3")]
+        format: String,
+        #[prost(string, tag = "4")]
+        frame_id: String,
+    }
+
+    /// The lens that took an image.
+    #[expect(non_snake_case, reason = "the schema's names")]
+    #[derive(Clone, PartialEq, Message)]
+    struct CameraCalibration {
+        #[prost(message, optional, tag = "1")]
+        timestamp: Option<Timestamp>,
+        #[prost(fixed32, tag = "2")]
+        width: u32,
+        #[prost(fixed32, tag = "3")]
+        height: u32,
+        #[prost(string, tag = "4")]
+        distortion_model: String,
+        #[prost(double, repeated, tag = "5")]
+        D: Vec<f64>,
+        #[prost(double, repeated, tag = "6")]
+        K: Vec<f64>,
+        #[prost(double, repeated, tag = "7")]
+        R: Vec<f64>,
+        #[prost(double, repeated, tag = "8")]
+        P: Vec<f64>,
+        #[prost(string, tag = "9")]
+        frame_id: String,
+    }
+
+    /// A line of text.
+    #[derive(Clone, PartialEq, Message)]
+    struct Log {
+        #[prost(message, optional, tag = "1")]
+        timestamp: Option<Timestamp>,
+        #[prost(enumeration = "LogLevel", tag = "2")]
+        level: i32,
+        #[prost(string, tag = "3")]
+        message: String,
+        #[prost(string, tag = "4")]
+        name: String,
+        #[prost(string, tag = "5")]
+        file: String,
+        #[prost(fixed32, tag = "6")]
+        line: u32,
+    }
+}
+
+/// How bad a [`Log`] is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, prost::Enumeration)]
+#[repr(i32)]
+pub(super) enum LogLevel {
+    Unknown = 0,
+    Debug = 1,
+    Info = 2,
+    Warning = 3,
+    Error = 4,
+    Fatal = 5,
 }
 
 const NANOS: u64 = 1_000_000_000;
@@ -38,63 +244,6 @@ impl Timestamp {
     }
 }
 
-/// One joint. Every value is `optional` on the wire, so that zero, negative zero and "not known" stay apart.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct JointState {
-    #[prost(string, tag = "1")]
-    pub(super) name: String,
-    #[prost(double, optional, tag = "2")]
-    pub(super) position: Option<f64>,
-    #[prost(double, optional, tag = "3")]
-    pub(super) velocity: Option<f64>,
-    #[prost(double, optional, tag = "4")]
-    pub(super) acceleration: Option<f64>,
-    #[prost(double, optional, tag = "5")]
-    pub(super) effort: Option<f64>,
-}
-
-/// Several joints at one time.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct JointStates {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(message, repeated, tag = "2")]
-    pub(super) joints: Vec<JointState>,
-}
-
-/// A point or a displacement.
-#[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct Vector3 {
-    #[prost(double, tag = "1")]
-    pub(super) x: f64,
-    #[prost(double, tag = "2")]
-    pub(super) y: f64,
-    #[prost(double, tag = "3")]
-    pub(super) z: f64,
-}
-
-/// A rotation.
-#[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct Quaternion {
-    #[prost(double, tag = "1")]
-    pub(super) x: f64,
-    #[prost(double, tag = "2")]
-    pub(super) y: f64,
-    #[prost(double, tag = "3")]
-    pub(super) z: f64,
-    #[prost(double, tag = "4")]
-    pub(super) w: f64,
-}
-
-/// A pose.
-#[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct Pose {
-    #[prost(message, optional, tag = "1")]
-    pub(super) position: Option<Vector3>,
-    #[prost(message, optional, tag = "2")]
-    pub(super) orientation: Option<Quaternion>,
-}
-
 impl From<&hal::Pose> for Pose {
     fn from(pose: &hal::Pose) -> Self {
         let (p, q) = (pose.translation.vector, pose.rotation.coords);
@@ -112,125 +261,4 @@ impl From<&hal::Pose> for Pose {
             }),
         }
     }
-}
-
-/// A pose in a named frame at one time.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct PoseInFrame {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(string, tag = "2")]
-    pub(super) frame_id: String,
-    #[prost(message, optional, tag = "3")]
-    pub(super) pose: Option<Pose>,
-}
-
-/// Where one frame is in another.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct FrameTransform {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(string, tag = "2")]
-    pub(super) parent_frame_id: String,
-    #[prost(string, tag = "3")]
-    pub(super) child_frame_id: String,
-    #[prost(message, optional, tag = "4")]
-    pub(super) translation: Option<Vector3>,
-    #[prost(message, optional, tag = "5")]
-    pub(super) rotation: Option<Quaternion>,
-}
-
-/// Several of them.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct FrameTransforms {
-    #[prost(message, repeated, tag = "1")]
-    pub(super) transforms: Vec<FrameTransform>,
-}
-
-/// A shape as a file.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct ModelPrimitive {
-    #[prost(message, optional, tag = "1")]
-    pub(super) pose: Option<Pose>,
-    #[prost(message, optional, tag = "2")]
-    pub(super) scale: Option<Vector3>,
-    #[prost(string, tag = "6")]
-    pub(super) media_type: String,
-    #[prost(bytes = "vec", tag = "7")]
-    pub(super) data: Vec<u8>,
-}
-
-/// What is in a frame.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct SceneEntity {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(string, tag = "2")]
-    pub(super) frame_id: String,
-    #[prost(string, tag = "3")]
-    pub(super) id: String,
-    #[prost(bool, tag = "5")]
-    pub(super) frame_locked: bool,
-    #[prost(message, repeated, tag = "14")]
-    pub(super) models: Vec<ModelPrimitive>,
-}
-
-/// Things that are new.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct SceneUpdate {
-    #[prost(message, repeated, tag = "2")]
-    pub(super) entities: Vec<SceneEntity>,
-}
-
-/// An image as a file's bytes.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct CompressedImage {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(bytes = "vec", tag = "2")]
-    pub(super) data: Vec<u8>,
-    #[prost(string, tag = "3")]
-    pub(super) format: String,
-    #[prost(string, tag = "4")]
-    pub(super) frame_id: String,
-}
-
-/// The lens that took an image. The one-letter names are the schema's.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct CameraCalibration {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(fixed32, tag = "2")]
-    pub(super) width: u32,
-    #[prost(fixed32, tag = "3")]
-    pub(super) height: u32,
-    #[prost(string, tag = "4")]
-    pub(super) distortion_model: String,
-    #[prost(double, repeated, tag = "5")]
-    pub(super) d: Vec<f64>,
-    #[prost(double, repeated, tag = "6")]
-    pub(super) k: Vec<f64>,
-    #[prost(double, repeated, tag = "7")]
-    pub(super) r: Vec<f64>,
-    #[prost(double, repeated, tag = "8")]
-    pub(super) p: Vec<f64>,
-    #[prost(string, tag = "9")]
-    pub(super) frame_id: String,
-}
-
-/// A line of text. `level` is 2 for information, 3 for a warning, 4 for an error.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct Log {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(int32, tag = "2")]
-    pub(super) level: i32,
-    #[prost(string, tag = "3")]
-    pub(super) message: String,
-    #[prost(string, tag = "4")]
-    pub(super) name: String,
-    #[prost(string, tag = "5")]
-    pub(super) file: String,
-    #[prost(fixed32, tag = "6")]
-    pub(super) line: u32,
 }

@@ -21,6 +21,7 @@ use super::drain::{ChunkItem, Drain, OnFailure, Shared, SideItem, TickItem};
 use super::error::LogError;
 use super::happened::Happened;
 use super::header::{LogCounts, RunHeader, RunOutcome};
+use super::messages::LogLevel;
 use super::record::TickRecord;
 use super::ring::pre_faulted_queue;
 use super::writer::LogWriter;
@@ -74,9 +75,9 @@ impl Level {
     /// The number of the level in `foxglove.Log`.
     pub(super) const fn number(self) -> i32 {
         match self {
-            Self::Info => 2,
-            Self::Warning => 3,
-            Self::Error => 4,
+            Self::Info => LogLevel::Info as i32,
+            Self::Warning => LogLevel::Warning as i32,
+            Self::Error => LogLevel::Error as i32,
         }
     }
 }

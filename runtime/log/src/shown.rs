@@ -1,4 +1,4 @@
-//! What a log shows people beside its ticks: camera images as they were kept, and what happened in words.
+//! What a log shows people beside its ticks: camera images as they were kept, what happened in words, and the messages themselves.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,6 +9,7 @@ use prost::Message as _;
 
 use super::container::{self, Visitor};
 use super::error::LogError;
+use super::live;
 use super::messages::{CompressedImage, Log};
 use super::read;
 use super::topic::Topic;
@@ -32,9 +33,18 @@ pub enum Shown<'a> {
         /// In words.
         text: &'a str,
     },
+    /// Any message, those of images and events too, which come before it in their own form.
+    Message {
+        /// Its topic.
+        topic: &'a str,
+        /// When.
+        at: TimeNs,
+        /// As it is in the file.
+        data: &'a [u8],
+    },
 }
 
-/// Reads the log at `path` in the order of the file, up to the cut if it was cut: each image and each event goes to `each`.
+/// Reads the log at `path` in the order of the file, up to the cut if it was cut: each image, each event and each message goes to `each`.
 ///
 /// # Errors
 /// [`LogError`] when there is no such file, it is no MCAP file, or bytes in it have changed.
@@ -53,12 +63,12 @@ impl<F: FnMut(Shown<'_>)> Visitor for Looking<F> {
             let text = &log.message;
             (self.0)(Shown::Event { at, text });
         }
-        let camera = topic.strip_prefix("/camera/");
-        if let Some(camera) = camera.filter(|name| !name.contains('/')) {
+        if let Some(camera) = live::camera_of(topic) {
             let found = CompressedImage::decode(data).map_err(|error| error.to_string())?;
             let image = &found.data;
             (self.0)(Shown::Image { camera, at, image });
         }
+        (self.0)(Shown::Message { topic, at, data });
         Ok(())
     }
 

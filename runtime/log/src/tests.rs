@@ -176,7 +176,7 @@ fn frames_become_png_images_with_their_lens() {
         if message.channel.topic == "/camera/endoscope/calibration" {
             let lens = super::messages::CameraCalibration::decode(&message.data[..]).unwrap();
             assert_eq!(
-                (lens.width, lens.height, lens.k.len(), lens.p.len()),
+                (lens.width, lens.height, lens.K.len(), lens.P.len()),
                 (16, 8, 9, 12)
             );
             seen += 1;

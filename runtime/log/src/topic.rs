@@ -61,7 +61,7 @@ impl Topic {
             Self::Safety => &["/safety", "/safety/psm2"],
             Self::Timing => &["/timing"],
             Self::Tick => &["/psm1/tick", "/psm2/tick"],
-            Self::Events => &["/events"],
+            Self::Events => &[super::live::EVENTS],
             Self::Transforms => &[super::live::TRANSFORMS],
         }
     }

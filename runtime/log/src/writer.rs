@@ -16,7 +16,7 @@ use super::joints::JointMessages;
 use super::json::{
     ChunkMessage, ChunkRef, ErrorMessage, OperatorMessage, TickMessage, TimingMessage,
 };
-use super::messages::{Log, PoseInFrame, Timestamp};
+use super::messages::{PoseInFrame, Timestamp};
 use super::record::{ArmRecord, TickRecord};
 use super::safety::SafetyMessage;
 use super::topic::{self, Schema, TOPIC_COUNT, Topic};
@@ -180,13 +180,7 @@ impl<W: Write + Seek> LogWriter<W> {
 
     /// Writes a line of text.
     pub(super) fn event(&mut self, at: TimeNs, level: Level, text: String) -> McapResult<()> {
-        let log = Log {
-            timestamp: Some(Timestamp::new(at)),
-            level: level.number(),
-            message: text,
-            name: "trocar".to_owned(),
-            ..Log::default()
-        };
+        let log = live::line(at, level, text);
         self.protobuf(Topic::Events, 0, at, |_, buffer| log.encode(buffer))
     }
 
@@ -202,7 +196,7 @@ impl<W: Write + Seek> LogWriter<W> {
         } else {
             let image = live::image_topic(name);
             let lens = live::lens_topic(name);
-            let pose = format!("/camera/{name}/pose");
+            let pose = live::pose_topic(name);
             let new = camera::Channels {
                 image: topic::add_channel(
                     &mut self.writer,

@@ -24,6 +24,12 @@ impl Drop for Drives {
 
 /// `trocar drives WORDS`, and their page's socket.
 fn open(words: &[&str]) -> (Drives, WebSocket<TcpStream>) {
+    let (drives, socket, _) = open_with_viewer(words);
+    (drives, socket)
+}
+
+/// The same, and what opens them in Foxglove if `words` ask for it.
+fn open_with_viewer(words: &[&str]) -> (Drives, WebSocket<TcpStream>, Option<String>) {
     let mut process = trocar(Profile::Debug)
         .args(["drives", "--console", "127.0.0.1:0"])
         .args(words)
@@ -32,10 +38,12 @@ fn open(words: &[&str]) -> (Drives, WebSocket<TcpStream>) {
         .unwrap();
     let mut said = BufReader::new(process.stderr.take().unwrap());
     let drives = Drives(process);
-    let mut line = String::new();
+    let (mut line, mut viewer) = (String::new(), None);
     while !line.contains("console: http://") {
         line.clear();
         assert!(said.read_line(&mut line).unwrap() > 0, "no console");
+        let found = line.trim().split("foxglove: ").nth(1);
+        viewer = found.map(str::to_owned).or(viewer);
     }
     std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
     let (_, address) = line.trim().split_once("http://").unwrap();
@@ -46,9 +54,14 @@ fn open(words: &[&str]) -> (Drives, WebSocket<TcpStream>) {
     let cookie = format!("trocar_console_{port}={token}");
     headers.insert("Cookie", cookie.parse().unwrap());
     headers.insert("Origin", format!("http://{host}").parse().unwrap());
+    let socket = tungstenite::client(request, connect(host)).unwrap().0;
+    (drives, socket, viewer)
+}
+
+fn connect(host: &str) -> TcpStream {
     let stream = TcpStream::connect(host).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    (drives, tungstenite::client(request, stream).unwrap().0)
+    stream
 }
 
 /// The next news of the drives in which every axis's `key` is `value`.
@@ -107,4 +120,54 @@ fn the_page_shows_the_world_of_drives() {
         let seen = json!({ "seen": 1 }).to_string();
         socket.send(Message::text(seen)).unwrap();
     }
+}
+
+/// Foxglove is told of drives and their world: axes, frames, shapes and cameras.
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn foxglove_is_told_of_drives_and_their_world() {
+    let _turn = alone();
+    let words = "--task needle-lift --topics can_bus_foxglove --foxglove 127.0.0.1:0";
+    let (_drives, _page, viewer) = open_with_viewer(&words.split(' ').collect::<Vec<_>>());
+    let url = viewer.unwrap();
+    let (_, address) = url.split_once("ws://").unwrap();
+    let mut request = url.as_str().into_client_request().unwrap();
+    let protocol = "foxglove.sdk.v1".parse().unwrap();
+    request
+        .headers_mut()
+        .insert("Sec-WebSocket-Protocol", protocol);
+    let stream = connect(address.split('/').next().unwrap());
+    let (mut socket, _) = tungstenite::client(request, stream).unwrap();
+    let channels = loop {
+        if let Message::Text(text) = socket.read().unwrap() {
+            let mut said: Value = serde_json::from_str(&text).unwrap();
+            if said["op"] == "advertise" {
+                break said["channels"].take();
+            }
+        }
+    };
+    let channels = channels.as_array().unwrap();
+    let wanted = [
+        "/psm1/measured_js",
+        "/psm1/setpoint_js",
+        "/tf",
+        "/scene",
+        "/camera/endoscope",
+    ];
+    let ids = wanted.map(|topic| channels.iter().position(|it| it["topic"] == topic).unwrap());
+    let subscriptions = ids.map(|id| json!({ "id": id, "channelId": id }));
+    let subscribe = json!({ "op": "subscribe", "subscriptions": subscriptions });
+    socket.send(Message::text(subscribe.to_string())).unwrap();
+    let mut heard = std::collections::BTreeSet::new();
+    while heard.len() < wanted.len() {
+        // The time comes too, as 2.
+        if let Message::Binary(bytes) = socket.read().unwrap()
+            && bytes[0] == 1
+        {
+            assert!(bytes.len() > 13);
+            heard.insert(u32::from_le_bytes(bytes[1..5].try_into().unwrap()));
+        }
+    }
+    assert!(channels.iter().any(|it| it["topic"] == "/events"));
+    assert!(!channels.iter().any(|it| it["topic"] == "/safety"));
 }

@@ -6,13 +6,15 @@ use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
 
 use base64::Engine as _;
+use hal::TimeNs;
 use prost::Message as _;
 use serde_json::{Value, json};
 use tests::{Profile, scratch, trocar};
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
 
-use crate::run::PATIENCE;
+use crate::page::Page;
+use crate::run::{PATIENCE, Served, made_log};
 
 /// `foxglove.FrameTransforms`, as far as its names go.
 #[derive(Clone, PartialEq, prost::Message)]
@@ -58,6 +60,13 @@ struct Image {
     format: String,
     #[prost(string, tag = "4")]
     frame: String,
+}
+
+/// `foxglove.Log`: its text.
+#[derive(Clone, PartialEq, prost::Message)]
+struct Line {
+    #[prost(string, tag = "3")]
+    text: String,
 }
 
 /// A run with a door for viewers, and its address.
@@ -138,22 +147,70 @@ fn said(socket: &mut WebSocket<TcpStream>, op: &str) -> Value {
     }
 }
 
-/// The first message of every topic, with its time, s; of frames all that come until then.
+/// Subscribes to all that is advertised, as 100 and so on; the topics.
+fn subscribe(socket: &mut WebSocket<TcpStream>) -> Vec<String> {
+    let advertised = said(socket, "advertise");
+    let mut topics = Vec::new();
+    let mut subscriptions = Vec::new();
+    for (index, channel) in advertised["channels"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .enumerate()
+    {
+        if channel["schemaEncoding"] == "protobuf" {
+            let schema = base64::engine::general_purpose::STANDARD
+                .decode(channel["schema"].as_str().unwrap());
+            assert!(!schema.unwrap().is_empty());
+        }
+        topics.push(channel["topic"].as_str().unwrap().to_owned());
+        subscriptions.push(json!({ "id": 100 + index, "channelId": channel["id"] }));
+    }
+    let subscribe = json!({ "op": "subscribe", "subscriptions": subscriptions });
+    socket.send(Message::text(subscribe.to_string())).unwrap();
+    topics
+}
+
+/// What a viewer is told.
+enum Told {
+    /// A message of a topic, with its time, ns.
+    Message(String, u64, Vec<u8>),
+    /// What time it is, ns.
+    Time(u64),
+}
+
+fn told(socket: &mut WebSocket<TcpStream>, topics: &[String]) -> Told {
+    loop {
+        let Message::Binary(bytes) = socket.read().unwrap() else {
+            continue;
+        };
+        let number = |from: usize| u64::from_le_bytes(bytes[from..from + 8].try_into().unwrap());
+        if bytes[0] == 2 {
+            return Told::Time(number(1));
+        }
+        assert_eq!(bytes[0], 1);
+        let id = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
+        let topic = topics[usize::try_from(id - 100).unwrap()].clone();
+        return Told::Message(topic, number(5), bytes[13..].to_vec());
+    }
+}
+
+/// Messages of every topic until there is one of each, and some of frames.
 fn heard(socket: &mut WebSocket<TcpStream>, topics: &[String]) -> BTreeMap<String, Vec<Vec<u8>>> {
     let mut heard: BTreeMap<String, Vec<Vec<u8>>> = BTreeMap::new();
     let frames = |heard: &BTreeMap<String, Vec<Vec<u8>>>| heard.get("/tf").map_or(0, Vec::len);
     while heard.len() < topics.len() || frames(&heard) < 12 {
-        let Message::Binary(bytes) = socket.read().unwrap() else {
-            continue;
-        };
-        assert_eq!(bytes[0], 1);
-        let id = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
-        let at_ns = u64::from_le_bytes(bytes[5..13].try_into().unwrap());
-        assert!(at_ns < 300_000_000_000, "{at_ns}");
-        let topic = topics[usize::try_from(id - 100).unwrap()].clone();
-        heard.entry(topic).or_default().push(bytes[13..].to_vec());
+        if let Told::Message(topic, at_ns, message) = told(socket, topics) {
+            assert!(at_ns < 300_000_000_000, "{at_ns}");
+            heard.entry(topic).or_default().push(message);
+        }
     }
     heard
+}
+
+fn lines(heard: &BTreeMap<String, Vec<Vec<u8>>>) -> Vec<String> {
+    let line = |bytes: &Vec<u8>| Line::decode(&bytes[..]).unwrap().text;
+    heard["/events"].iter().map(line).collect()
 }
 
 /// Every frame has one parent, and all lead to the scene.
@@ -187,22 +244,11 @@ fn foxglove_is_told_what_a_run_does() {
     );
     let mut socket = Shown::open(&shown.url, Some("https://app.foxglove.dev")).unwrap();
     assert_eq!(said(&mut socket, "serverInfo")["name"], "trocar");
-    let advertised = said(&mut socket, "advertise");
-    let channels = advertised["channels"].as_array().unwrap();
-    let mut topics = Vec::new();
-    let mut subscriptions = Vec::new();
-    for (index, channel) in channels.iter().enumerate() {
-        if channel["schemaEncoding"] == "protobuf" {
-            let schema = base64::engine::general_purpose::STANDARD
-                .decode(channel["schema"].as_str().unwrap());
-            assert!(!schema.unwrap().is_empty());
-        }
-        topics.push(channel["topic"].as_str().unwrap().to_owned());
-        subscriptions.push(json!({ "id": 100 + index, "channelId": channel["id"] }));
-    }
+    let topics = subscribe(&mut socket);
     for wanted in [
         "/psm1/measured_js",
         "/safety",
+        "/events",
         "/tf",
         "/scene",
         "/camera/wrist",
@@ -218,8 +264,6 @@ fn foxglove_is_told_what_a_run_does() {
     ] {
         socket.send(Message::text(text)).unwrap();
     }
-    let subscribe = json!({ "op": "subscribe", "subscriptions": subscriptions });
-    socket.send(Message::text(subscribe.to_string())).unwrap();
 
     let heard = heard(&mut socket, &topics);
     let frames = form_one_tree(&heard["/tf"]);
@@ -237,4 +281,44 @@ fn foxglove_is_told_what_a_run_does() {
     }
     let safety: Value = serde_json::from_slice(&heard["/safety"][0]).unwrap();
     assert!(["ENABLED", "DISABLED"].contains(&safety["mode"].as_str().unwrap()));
+    let lines = lines(&heard);
+    let enabled = |line: &&String| *line == "psm1: DISABLED to ENABLED";
+    assert_eq!(lines.iter().filter(enabled).count(), 1, "{lines:?}");
+}
+
+/// A log is played in its own time, all its topics, until a page looks at a place: from then on it is told of that place.
+#[test]
+fn foxglove_is_told_a_log_where_a_page_looks() {
+    let log = made_log("foxglove-log-made", "needle-lift");
+    let words = ["replay", log.to_str().unwrap(), "--foxglove", "127.0.0.1:0"];
+    let served = Served::start("foxglove-log", &words);
+    let mut socket = Shown::open(served.viewer.as_deref().unwrap(), None).unwrap();
+    let topics = subscribe(&mut socket);
+    for wanted in ["/psm1/tick", "/policy/chunk", "/camera/endoscope/pose"] {
+        assert!(topics.iter().any(|topic| topic == wanted), "{topics:?}");
+    }
+    let heard = heard(&mut socket, &topics);
+    assert!(lines(&heard).contains(&"psm1: DISABLED to ENABLED".to_owned()));
+    let frames = form_one_tree(&heard["/tf"]);
+    assert!(frames.contains("psm1_tip") && frames.contains("endoscope"));
+    let image = Image::decode(&heard["/camera/endoscope"][0][..]).unwrap();
+    assert_eq!((&*image.format, &image.data[1..4]), ("png", &b"PNG"[..]));
+
+    let mut page = Page::open(&served);
+    page.wait_for("facts", |_| true);
+    for at in [1.0, 0.4] {
+        page.say(&json!({ "at": at }));
+        let (mut is_there, mut told_at) = (false, None);
+        while told_at.is_none() {
+            match told(&mut socket, &topics) {
+                Told::Time(ns) => is_there = (TimeNs(ns).seconds() - at).abs() < 0.003,
+                Told::Message(topic, ns, _) if is_there && topic == "/psm1/measured_js" => {
+                    told_at = Some(TimeNs(ns).seconds());
+                }
+                Told::Message(..) => {}
+            }
+        }
+        let behind = at - told_at.unwrap();
+        assert!((-0.003..0.06).contains(&behind), "{behind} s behind {at} s");
+    }
 }

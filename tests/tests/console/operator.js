@@ -97,6 +97,47 @@ class Keys {
   }
 }
 
+/** Two eyes at one place, for which the picture fills what they see. */
+const EYES = ["left", "right"].map((eye) => ({
+  eye,
+  projectionMatrix: [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, -1, -1, 0, 0, -0.1, 0],
+  transform: { inverse: { matrix: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1] } },
+}));
+const EYE_PIXELS = 256;
+let layer = null;
+
+/** The left eye's picture beside the right one's. */
+class Layer {
+  framebuffer = null;
+
+  constructor(session, gl) {
+    this.gl = gl;
+    [gl.canvas.width, gl.canvas.height] = [2 * EYE_PIXELS, EYE_PIXELS];
+    layer = this;
+  }
+
+  getViewport({ eye }) {
+    return { x: eye === "right" ? EYE_PIXELS : 0, y: 0, width: EYE_PIXELS, height: EYE_PIXELS };
+  }
+}
+
+/** Which shares of the pixels the eyes see otherwise, and not black. */
+function compareEyes() {
+  const { gl } = layer;
+  const [left, right] = [0, EYE_PIXELS].map((x) => {
+    const pixels = new Uint8Array(4 * EYE_PIXELS ** 2);
+    gl.readPixels(x, 0, EYE_PIXELS, EYE_PIXELS, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    return pixels;
+  });
+  let [other, lit] = [0, 0];
+  for (let at = 0; at < left.length; at += 4) {
+    const channels = [0, 1, 2].map((channel) => at + channel);
+    if (channels.some((at) => Math.abs(left[at] - right[at]) > 24)) other += 1;
+    if (channels.some((at) => right[at] > 24)) lit += 1;
+  }
+  window.operator.seen = [other, lit].map((count) => count / EYE_PIXELS ** 2);
+}
+
 /** A headset with its right controller. */
 class Controller {
   at = [0.2, 1.1, -0.3];
@@ -106,6 +147,7 @@ class Controller {
 
   constructor() {
     const controller = this;
+    window.XRWebGLLayer = Layer;
     class Session extends EventTarget {
       visibilityState = "visible";
       inputSources = [{ handedness: "right", targetRayMode: "tracked-pointer", gripSpace: {}, gamepad: controller }];
@@ -113,7 +155,10 @@ class Controller {
       updateRenderState() {}
       requestAnimationFrame(frame) {
         const pose = () => window.operator.tracked && { emulatedPosition: false, transform: controller.transform };
-        return setTimeout(() => frame(performance.now(), { getPose: pose, getViewerPose: () => null }), 14);
+        return setTimeout(() => {
+          frame(performance.now(), { getPose: pose, getViewerPose: () => (window.operator.eyes ? { views: EYES } : null) });
+          if (window.operator.eyes) compareEyes();
+        }, 14);
       }
       async end() { this.dispatchEvent(new Event("end")); }
     }
@@ -147,6 +192,54 @@ class Controller {
   time(axis, amount) { return amount / (axis < 3 ? 0.013 : 0.3); }
 }
 
+/** A SpaceMouse: two thirds of its way while it is driven, a report of its buttons when they change. */
+class Cap {
+  driven = [0, 0, 0, 0, 0, 0];
+  buttons = 0;
+  combined = false;
+  device = { vendorId: 0x256f, opened: false, oninputreport: null, open: async () => { this.device.opened = true; } };
+
+  constructor() {
+    this.hid = Object.assign(new EventTarget(), {
+      getDevices: async () => [],
+      requestDevice: async ({ filters }) => (filters.some(({ vendorId }) => vendorId === this.device.vendorId) ? [this.device] : []),
+    });
+    Object.defineProperty(navigator, "hid", { value: this.hid });
+    setInterval(() => {
+      if (this.driven.every((value) => value === 0)) return;
+      if (this.combined) this.report(1, this.driven);
+      else for (const half of [0, 3]) this.report(1 + half / 3, this.driven.slice(half, half + 3));
+    }, 10);
+  }
+
+  report(reportId, values) {
+    const data = new DataView(new ArrayBuffer(2 * values.length));
+    values.forEach((value, place) => data.setInt16(2 * place, value, true));
+    this.device.oninputreport?.({ reportId, data });
+  }
+
+  press(button, on) {
+    this.buttons = on ? this.buttons | button : this.buttons & ~button;
+    this.report(3, [this.buttons]);
+  }
+
+  hold(on) { this.press(1, on); }
+  second() { [true, false].forEach((on) => this.press(2, on)); }
+
+  /** The device's axes are x to the right, y towards the person, z down. */
+  drive(way, turn) {
+    const before = this.driven;
+    this.driven = [way, turn].flatMap(([x, y, z]) => [x, z, -y].map((value) => 230 * value));
+    if (before.some((value) => value !== 0)) [1, 2].forEach((id) => this.report(id, [0, 0, 0]));
+  }
+
+  unplug() {
+    this.driven = [0, 0, 0, 0, 0, 0];
+    this.hid.dispatchEvent(Object.assign(new Event("disconnect"), { device: this.device }));
+  }
+}
+
+const DEVICES = { keyboard: Keys, gamepad: Gamepad, spacemouse: Cap, headset: Controller };
 const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 
 /** Looks where the tip is, moves towards where it should be for as long as that takes, and looks again. */
@@ -154,7 +247,8 @@ window.operator = {
   tracked: true,
   done: false,
   get hands() {
-    return (this.device ??= window.device === "keyboard" ? new Keys() : window.device === "gamepad" ? new Gamepad() : new Controller());
+    // A mouse is the browser's own.
+    return (this.device ??= DEVICES[window.device] && new DEVICES[window.device]());
   },
   hold(on) { this.hands.hold(on); },
   push(way) { this.hands.drive(way, [0, 0, 0]); },

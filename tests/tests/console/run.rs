@@ -21,6 +21,8 @@ pub(crate) struct Served {
     url: String,
     /// SHA-256 of the certificate, if it has one.
     pub(crate) fingerprint: Option<String>,
+    /// What opens it in Foxglove, if it can be.
+    pub(crate) viewer: Option<String>,
     pub(crate) folder: PathBuf,
     sockets: PathBuf,
 }
@@ -96,12 +98,14 @@ impl Served {
             .stderr(Stdio::piped());
         let mut process = command.spawn().unwrap();
         let mut said = BufReader::new(process.stderr.take().unwrap());
-        let (mut line, mut fingerprint) = (String::new(), None);
+        let (mut line, mut fingerprint, mut viewer) = (String::new(), None, None);
         while !line.contains("console: http") {
             line.clear();
             assert!(said.read_line(&mut line).unwrap() > 0, "no console");
             let found = line.trim().split("certificate: SHA-256 ").nth(1);
             fingerprint = found.map(str::to_owned).or(fingerprint);
+            let found = line.trim().split("foxglove: ").nth(1);
+            viewer = found.map(str::to_owned).or(viewer);
         }
         // Whatever else it says must not fill the pipe.
         std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
@@ -114,6 +118,7 @@ impl Served {
             token: token.to_owned(),
             url: url.clone(),
             fingerprint,
+            viewer,
             folder: folder.to_owned(),
             sockets,
         }

@@ -20,6 +20,7 @@ pub(super) fn heard(shared: &Shared, seat: &Seat, request: Request) -> Result<()
         return Err(BadHands::NoSeat);
     }
     match request {
+        Request::Hands(_) if hands.are_at_desk() => return Err(BadHands::Desk),
         Request::Hands(message) => hands.hear(seat.id(), &message)?,
         Request::Scale(scale) => hands.set_scale(scale)?,
         Request::HandBack(true) => hands.hand_back()?,

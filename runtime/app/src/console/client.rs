@@ -205,7 +205,10 @@ impl Page {
                 self.seat.look_at(&streams);
                 self.streams = streams;
             }
-            Request::At(seconds) => (self.place, self.moved) = (Some(seconds), true),
+            Request::At(seconds) => {
+                (self.place, self.moved) = (Some(seconds), true);
+                self.shared.place.send_replace(self.place);
+            }
             Request::Command(text) => return self.command(&text, socket).await,
             Request::Hands(_)
             | Request::HandsOff(_)

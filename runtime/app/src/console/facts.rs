@@ -25,6 +25,9 @@ pub struct Facts {
     /// Upper ends of the histograms' buckets, us.
     buckets_us: Vec<u64>,
     time_limit_s: Option<f64>,
+    /// The picture in whose axes hands move, if there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    picture: Option<PictureFacts>,
     /// Of a log, how long it is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) seconds: Option<f64>,
@@ -61,6 +64,17 @@ struct AxisFacts {
     low: f64,
     high: f64,
     velocity: f64,
+}
+
+/// A picture that a person moves the arms in.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(crate) struct PictureFacts {
+    /// Its camera, in the order of all.
+    pub(crate) camera: usize,
+    /// How wide what it shows is, for each metre that it is away.
+    pub(crate) wide: f64,
+    /// The camera of the right eye, if there are two.
+    pub(crate) right: Option<usize>,
 }
 
 /// Something that happened at a time.
@@ -131,6 +145,7 @@ impl Facts {
             scene: false,
             buckets_us: BUCKETS_US.to_vec(),
             time_limit_s: None,
+            picture: None,
             seconds: None,
             events: Vec::new(),
             outcome: None,
@@ -149,6 +164,12 @@ impl Facts {
     #[must_use]
     pub fn within_s(mut self, time_limit_s: f64) -> Self {
         self.time_limit_s = Some(time_limit_s);
+        self
+    }
+
+    /// The same with the picture in whose axes hands move.
+    pub(crate) const fn moved_in(mut self, picture: Option<PictureFacts>) -> Self {
+        self.picture = picture;
         self
     }
 

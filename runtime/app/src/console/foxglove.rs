@@ -1,7 +1,11 @@
-//! A live Foxglove server: the log's topics while the run goes on, with cameras, frames and shapes, for Foxglove and whoever speaks its
-//! WebSocket protocol (`foxglove.sdk.v1`). It only tells: no message of a viewer reaches the run.
+//! A live Foxglove server: the log's topics while a run or drives go on, with cameras, frames and shapes, or a log as its time line is
+//! played, for Foxglove and whoever speaks its WebSocket protocol (`foxglove.sdk.v1`). It only tells: no message of a viewer reaches the run.
 //!
-//! Like a page of the console a viewer has a seat, sees the newest of everything, and is told no more than it takes.
+//! Like a page of the console a viewer has a seat, sees the newest of everything, and is told no more than it takes; only of what
+//! happened it misses nothing.
+
+mod played;
+mod wire;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,11 +16,10 @@ use axum::extract::ws::{Message, WebSocket};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use hal::{Pose, TimeNs};
-use serde::Deserialize;
 use serde_json::json;
 use tokio::sync::watch;
-use tokio::time::timeout;
-use trocar_log::live::{self, Channel};
+use tokio::time::interval;
+use trocar_log::live;
 
 use super::encode::HEAD;
 use super::pictures::{Plane, Stream};
@@ -24,8 +27,10 @@ use super::request::Allowance;
 use super::scene::{self, Shapes};
 use super::seats::Seat;
 use super::shared::Shared;
-use super::tap::Sample;
+use super::viewers::{Message as News, Offer, Told};
 use crate::rt::MonotonicClock;
+use played::Played;
+use wire::{Gone, Request, Subscription, send, stamp, tell_time, text};
 
 /// What a viewer asks the WebSocket to speak.
 pub(super) const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
@@ -33,33 +38,8 @@ pub(super) const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.
 /// Subscriptions of one viewer.
 const SUBSCRIPTIONS_MAX: usize = 64;
 
-/// Time for one message to leave.
-const SEND: Duration = Duration::from_secs(5);
-
-/// A viewer ends here.
-struct Gone;
-
-/// What a viewer may say; whatever else it says is passed over.
-#[derive(Debug, Deserialize)]
-#[serde(tag = "op", rename_all = "camelCase")]
-enum Request {
-    Subscribe {
-        subscriptions: Vec<Subscription>,
-    },
-    #[serde(rename_all = "camelCase")]
-    Unsubscribe {
-        subscription_ids: Vec<u32>,
-    },
-    #[serde(other)]
-    Other,
-}
-
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct Subscription {
-    id: u32,
-    channel_id: usize,
-}
+/// Time from one look at a log's time line to the next.
+const PLAY_EVERY: Duration = Duration::from_millis(50);
 
 /// Tells a viewer until it goes or all is over.
 pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
@@ -69,44 +49,42 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
     };
     let clock = MonotonicClock::new();
     let mut viewer = Viewer {
-        facts: shared.facts.subscribe(),
-        state: shared.state.subscribe(),
+        told: shared.viewers.join(),
         pictures: shared.board.watch(),
         over: shared.over.subscribe(),
         shared,
         seat,
-        channels: Vec::new(),
-        cameras: Vec::new(),
+        offer: Arc::default(),
         shapes: Arc::default(),
         subscriptions: BTreeMap::new(),
         streams: Vec::new(),
         seen: BTreeMap::new(),
-        previous: TimeNs(0),
+        happened: 0,
+        played: Played::default(),
         shown: false,
         allowance: Allowance::new(clock.now()),
         clock,
     };
-    viewer.facts.mark_changed();
     let _gone: Result<(), Gone> = viewer.serve(&mut socket).await;
 }
 
 struct Viewer {
     shared: Arc<Shared>,
     seat: Seat,
-    facts: watch::Receiver<axum::extract::ws::Utf8Bytes>,
-    state: watch::Receiver<axum::extract::ws::Utf8Bytes>,
+    told: Told,
     pictures: watch::Receiver<u64>,
     over: watch::Receiver<Option<axum::extract::ws::Utf8Bytes>>,
-    channels: Vec<Channel>,
-    cameras: Vec<String>,
+    offer: Arc<Offer>,
     shapes: Arc<Shapes>,
     /// The channel of each subscription.
     subscriptions: BTreeMap<u32, usize>,
     streams: Vec<Stream>,
     /// The number of the picture that it has of each stream.
     seen: BTreeMap<Stream, u64>,
-    /// When the tick was that it was told of last.
-    previous: TimeNs,
+    /// How much of what happened it has been told.
+    happened: u64,
+    /// Where in a log it is.
+    played: Played,
     /// Whether it has the shapes.
     shown: bool,
     allowance: Allowance,
@@ -115,19 +93,23 @@ struct Viewer {
 
 impl Viewer {
     async fn serve(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
-        let info = json!({ "op": "serverInfo", "name": "trocar", "capabilities": [], "supportedEncodings": [], "metadata": {} });
+        // The time is that of the run, or of the log, where it may jump.
+        let info = json!({ "op": "serverInfo", "name": "trocar", "capabilities": ["time"], "supportedEncodings": [], "metadata": {} });
         text(socket, &info).await?;
+        let mut plays = interval(PLAY_EVERY);
         loop {
             tokio::select! {
                 biased;
                 heard = socket.recv() => self.hear(heard)?,
-                _ = self.facts.changed() => self.advertise(socket).await?,
+                _ = self.told.offer.changed() => self.advertise(socket).await?,
+                _ = self.told.happened.changed() => self.tell_happened(socket).await?,
                 _ = self.over.changed() => {
                     send(socket, Message::Close(None)).await?;
                     return Err(Gone);
                 }
-                _ = self.state.changed() => self.tell_state(socket).await?,
+                _ = self.told.newest.changed() => self.tell_newest(socket).await?,
                 _ = self.pictures.changed() => self.tell_pictures(socket).await?,
+                _ = plays.tick() => self.play(socket).await?,
             }
         }
     }
@@ -146,14 +128,19 @@ impl Viewer {
         };
         match request {
             Request::Subscribe { subscriptions } => {
+                let heard = self.subscribed(live::EVENTS).next().is_some();
                 for Subscription { id, channel_id } in subscriptions {
-                    if channel_id < self.channels.len()
+                    if channel_id < self.offer.channels.len()
                         && self.subscriptions.len() < SUBSCRIPTIONS_MAX
                     {
                         self.subscriptions.insert(id, channel_id);
                     }
                 }
                 self.shown = false;
+                if !heard {
+                    self.happened = 0;
+                    self.told.happened.mark_changed();
+                }
             }
             Request::Unsubscribe { subscription_ids } => {
                 self.subscriptions
@@ -168,7 +155,7 @@ impl Viewer {
     /// Looks at what the subscriptions need.
     fn look(&mut self) {
         let wants = |topic: &str| self.subscribed(topic).next().is_some();
-        let cameras = self.cameras.iter().zip(0_u8..);
+        let cameras = self.offer.cameras.iter().zip(0_u8..);
         let cameras = cameras.filter(|(camera, _)| {
             wants(&live::image_topic(camera)) || wants(&live::lens_topic(camera))
         });
@@ -185,30 +172,27 @@ impl Viewer {
     /// The subscriptions to `topic`.
     fn subscribed<'a>(&'a self, topic: &'a str) -> impl Iterator<Item = u32> + 'a {
         let subscriptions = self.subscriptions.iter();
-        let fits =
-            move |channel: usize| self.channels.get(channel).map(|it| &*it.topic) == Some(topic);
+        let channels = &self.offer.channels;
+        let fits = move |channel: usize| channels.get(channel).map(|it| &*it.topic) == Some(topic);
         subscriptions.filter_map(move |(id, channel)| fits(*channel).then_some(*id))
     }
 
     /// Says which topics there are; those of a run before are no more.
     async fn advertise(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
-        let Some((arms, cameras)) = self.shared.live().map(|live| live.arms_and_cameras()) else {
-            return Ok(());
-        };
+        let offer = Arc::clone(&self.told.offer.borrow_and_update());
         self.shapes = self.shared.shapes();
         self.shown = false;
-        let channels = live::channels(arms, &cameras);
-        if channels == self.channels {
+        if offer.channels == self.offer.channels {
             return Ok(());
         }
-        let gone: Vec<usize> = (0..self.channels.len()).collect();
+        let gone: Vec<usize> = (0..self.offer.channels.len()).collect();
         self.subscriptions.clear();
-        (self.channels, self.cameras) = (channels, cameras);
+        self.offer = offer;
         self.look();
         if !gone.is_empty() {
             text(socket, &json!({ "op": "unadvertise", "channelIds": gone })).await?;
         }
-        let channels = self.channels.iter().enumerate().map(|(id, channel)| {
+        let channels = self.offer.channels.iter().enumerate().map(|(id, channel)| {
             let schema = match channel.schema_encoding {
                 "protobuf" => STANDARD.encode(&channel.schema),
                 _ => String::from_utf8_lossy(&channel.schema).into_owned(),
@@ -222,15 +206,39 @@ impl Viewer {
         text(socket, &json!({ "op": "advertise", "channels": channels })).await
     }
 
-    async fn tell_state(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
-        let Some((Sample { record, .. }, rcms_in_scene)) =
-            self.shared.live().and_then(|live| live.sample())
-        else {
+    async fn tell_newest(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+        let newest = Arc::clone(&self.told.newest.borrow_and_update());
+        if let Some(first) = newest.first() {
+            tell_time(socket, first.at).await?;
+        }
+        self.tell(socket, &newest).await
+    }
+
+    async fn tell_happened(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+        let (fresh, all) = self.shared.viewers.since(self.happened);
+        self.happened = all;
+        self.tell(socket, &fresh).await
+    }
+
+    /// Goes on with a log, if that is what is shown: what its messages say, and what time it is in it.
+    async fn play(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+        let Some(log) = self.shared.log() else {
             return Ok(());
         };
-        let previous = std::mem::replace(&mut self.previous, record.now);
-        for (topic, bytes) in live::tick(&record, previous, &rcms_in_scene) {
-            self.publish(socket, topic, record.now, &bytes).await?;
+        let place = *self.shared.place.borrow();
+        let channels = self.subscriptions.values();
+        let channels = channels.filter_map(|channel| self.offer.channels.get(*channel));
+        let topics: Vec<&str> = channels.map(|channel| &*channel.topic).collect();
+        let Some((at, fresh)) = self.played.go_on(&log, (place, self.clock.now()), &topics) else {
+            return Ok(());
+        };
+        tell_time(socket, at).await?;
+        self.tell(socket, &fresh).await
+    }
+
+    async fn tell(&self, socket: &mut WebSocket, messages: &[News]) -> Result<(), Gone> {
+        for News { topic, at, data } in messages {
+            self.publish(socket, topic, *at, data).await?;
         }
         Ok(())
     }
@@ -256,7 +264,8 @@ impl Viewer {
         stream: Stream,
         message: &Bytes,
     ) -> Result<(), Gone> {
-        let Some(camera) = self.cameras.get(usize::from(stream.camera)).cloned() else {
+        let cameras = &self.offer.cameras;
+        let Some(camera) = cameras.get(usize::from(stream.camera)).cloned() else {
             return Ok(());
         };
         if let Some(intrinsics) = self.shapes.lens(&camera) {
@@ -309,27 +318,5 @@ impl Viewer {
             send(socket, Message::Binary(bytes.into())).await?;
         }
         Ok(())
-    }
-}
-
-/// When a picture was taken.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "seconds of a run, not negative"
-)]
-fn stamp(message: &Bytes) -> TimeNs {
-    let seconds = message.get(8..HEAD).and_then(|bytes| bytes.try_into().ok());
-    TimeNs((seconds.map_or(0.0, f64::from_le_bytes) * 1e9).round() as u64)
-}
-
-async fn text(socket: &mut WebSocket, message: &serde_json::Value) -> Result<(), Gone> {
-    send(socket, Message::Text(message.to_string().into())).await
-}
-
-async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Gone> {
-    match timeout(SEND, socket.send(message)).await {
-        Ok(Ok(())) => Ok(()),
-        Ok(Err(_)) | Err(_) => Err(Gone),
     }
 }

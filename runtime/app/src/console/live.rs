@@ -8,11 +8,15 @@ use super::path::paths;
 use super::pictures::Board;
 use super::state::State;
 use super::tap::Sample;
+use super::viewers::Message;
 use crate::mailbox::MailboxReader;
 use crate::rt::MonotonicClock;
 use crate::session::operator::{Command, exchange};
 use crate::session::teleop::Hands;
-use hal::{Chunk, PerArm, Pose, TimeNs};
+use hal::{Chunk, PerArm, TimeNs};
+use rtrb::Consumer;
+use trocar_log::TickRecord;
+use trocar_log::live::{self, Happened};
 
 /// The reading ends of a run.
 #[derive(Debug)]
@@ -32,6 +36,8 @@ pub(super) struct Said {
     pub(super) samples: MailboxReader<Sample>,
     pub(super) task: MailboxReader<&'static str>,
     pub(super) chunks: MailboxReader<PerArm<Chunk>>,
+    /// Ticks in which something happened.
+    pub(super) noted: Consumer<TickRecord>,
 }
 
 #[derive(Debug)]
@@ -40,6 +46,9 @@ struct Newest {
     newest: Option<(Sample, TimeNs)>,
     chunks: Option<PerArm<Chunk>>,
     missing: Option<&'static str>,
+    happened: Happened,
+    /// When the tick was that viewers were told of last.
+    previous: TimeNs,
 }
 
 impl Live {
@@ -56,6 +65,8 @@ impl Live {
                 newest: None,
                 chunks: None,
                 missing: None,
+                happened: Happened::new(),
+                previous: TimeNs(0),
             }),
             clock: MonotonicClock::new(),
             operator,
@@ -69,11 +80,38 @@ impl Live {
         (self.facts.arms.len(), self.facts.cameras.clone())
     }
 
-    /// The newest tick with what was counted, and where the arms' remote centres are in the scene; none before the first tick.
-    pub(super) fn sample(&self) -> Option<(Sample, Vec<Pose>)> {
+    /// What the newest tick says in the log's form; nothing before the first.
+    pub(super) fn messages(&self) -> Vec<Message> {
+        let mut samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some((Sample { record, .. }, _)) = samples.newest else {
+            return Vec::new();
+        };
+        let previous = std::mem::replace(&mut samples.previous, record.now);
+        let messages = live::tick(&record, previous, &self.facts.rcms_in_scene);
+        let messages = messages.into_iter();
+        messages
+            .map(|(topic, data)| Message::new(topic, record.now, data))
+            .collect()
+    }
+
+    /// What has happened since this was last asked: in words, and what was said of safety then.
+    pub(super) fn happened(&self) -> Vec<Message> {
+        let mut samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut messages = Vec::new();
+        while let Ok(record) = samples.said.noted.pop() {
+            let lines = samples.happened.since(&record).into_iter();
+            messages.extend(lines.map(|(level, text)| Message::event(record.now, level, &text)));
+            let safety = live::safety(&record);
+            messages.extend(safety.map(|(topic, data)| Message::new(topic, record.now, data)));
+        }
+        messages
+    }
+
+    /// When the newest tick was.
+    pub(super) fn now(&self) -> TimeNs {
         let samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
-        let (sample, _) = samples.newest?;
-        Some((sample, self.facts.rcms_in_scene.clone()))
+        let newest = samples.newest.as_ref();
+        newest.map_or(TimeNs(0), |(sample, _)| sample.record.now)
     }
 
     pub(super) fn facts(&self) -> String {

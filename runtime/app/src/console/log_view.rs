@@ -6,15 +6,19 @@ use std::path::Path;
 use axum::body::Bytes;
 use hal::config::Source;
 use hal::{ARM_NAMES, PerArm, TimeNs};
+use rtrb::RingBuffer;
 use trocar_control::{AnyController, ControlConfig, OperatingState, TickInput};
+use trocar_log::live;
 use trocar_log::replay::ReplayError;
 use trocar_log::{LogEnd, RunHeader, Shown, Step, TickRecord, read_shown, read_steps};
 
 use super::encode;
 use super::facts::{EndFacts, EventFacts, Facts};
+use super::log_messages::LogMessages;
 use super::pictures::{Plane, Stream};
 use super::state::{State, refusal};
 use super::tap::{ControlTap, seconds};
+use super::viewers::Message;
 use crate::mailbox::mailbox;
 use crate::session::SessionError;
 
@@ -30,6 +34,9 @@ const IMAGE_BYTES_MAX: usize = 256 << 20;
 /// Events that are told.
 const EVENTS_MAX: usize = 2000;
 
+/// How a JPEG begins.
+const JPEG: &[u8] = &[0xff, 0xd8];
+
 /// After so long without, an intervention is another one, ticks.
 const APART_TICKS: u64 = 500;
 
@@ -41,19 +48,25 @@ pub(super) struct LogView {
     states: BTreeMap<u64, Box<str>>,
     first: u64,
     images: Images,
+    messages: LogMessages,
 }
 
 impl LogView {
-    /// Reads the log at `path`.
+    /// Reads the log at `path`, with its messages if somebody `views` them.
     ///
     /// # Errors
     /// [`SessionError::Log`] or [`SessionError::Replay`].
-    pub(super) fn read(path: &Path) -> Result<Self, SessionError> {
+    pub(super) fn read(path: &Path, views: bool) -> Result<Self, SessionError> {
         let mut images = Images::default();
         let mut events = Vec::new();
+        let mut messages = LogMessages::default();
         read_shown(path, |shown| match shown {
             Shown::Image { camera, at, image } => images.keep(camera, at, image),
             Shown::Event { at, text } => events.push((at, text.to_owned())),
+            Shown::Message { topic, at, data } if views && live::camera_of(topic).is_none() => {
+                messages.keep(topic, at, data);
+            }
+            Shown::Message { .. } => {}
         })?;
         let mut recomputed = None;
         let (header, end) = read_steps(path, |header, step| -> Result<(), SessionError> {
@@ -65,7 +78,48 @@ impl LogView {
             Ok(())
         })?;
         let recomputed = recomputed.ok_or(ReplayError::Empty)?;
-        Ok(recomputed.view(&header, &end, images, events))
+        let view = recomputed.view(&header, &end, images, events);
+        Ok(Self { messages, ..view })
+    }
+
+    /// How many arms it is of, and the cameras that it has images of.
+    pub(super) fn arms_and_cameras(&self) -> (usize, Vec<String>) {
+        (self.facts.arms.len(), self.facts.cameras.clone())
+    }
+
+    /// How long it is, s.
+    pub(super) fn seconds(&self) -> f64 {
+        self.facts.seconds.unwrap_or_default()
+    }
+
+    /// The log's own time `seconds` after its first tick.
+    pub(super) fn time(&self, seconds: f64) -> TimeNs {
+        TimeNs::from_tick(self.tick(seconds))
+    }
+
+    /// What `topic` says as the time goes from `before` to `at`: its newest message, or all of a topic of which each counts.
+    pub(super) fn messages(&self, topic: &str, before: Option<TimeNs>, at: TimeNs) -> Vec<Message> {
+        let Some(camera) = live::camera_of(topic) else {
+            return self.messages.at(topic, before, at);
+        };
+        let cameras = self.facts.cameras.iter();
+        let index = cameras.zip(0..).find(|(name, _)| *name == camera);
+        let found = index.and_then(|(_, index)| self.images.at(index, at));
+        let image = found.map(|(number, message)| {
+            let at = TimeNs(number - 1);
+            let image = message.get(encode::HEAD..).unwrap_or_default();
+            let format = if image.starts_with(JPEG) {
+                "jpeg"
+            } else {
+                "png"
+            };
+            Message {
+                topic: topic.to_owned().into(),
+                at,
+                data: live::image(at, camera, format, image).into(),
+            }
+        });
+        image.into_iter().collect()
     }
 
     /// What a page is told first.
@@ -238,7 +292,7 @@ impl Recomputed {
         Ok(Self {
             facts: Facts::new(title, &header.policy, header.seed, &config, cameras),
             controller,
-            tap: ControlTap::new(mailbox().0, mailbox().0, mailbox().0),
+            tap: ControlTap::new(mailbox().0, mailbox().0, mailbox().0, RingBuffer::new(1).0),
             states: States::default(),
             events: Vec::new(),
             first: None,
@@ -357,6 +411,7 @@ impl Recomputed {
             states: self.states.kept,
             first,
             images,
+            messages: LogMessages::default(),
         }
     }
 }

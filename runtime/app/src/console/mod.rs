@@ -10,7 +10,7 @@
 //! it, `access` who may open it; `server` serves the page's files, `client` one page; `request` is what a page may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are
 //! what cameras show, `scene` the scene in three dimensions; `by_hand` takes the operator's hands (`session/teleop`); `facts`, `live` and
 //! `state` make what a run says, `path` where its chunks lead, `log_view` what a log says. The page itself is in `page/`. `foxglove` tells
-//! other programs the same in the log's form, at a door of its own.
+//! other programs the same in the log's form, at a door of its own, what stands in `viewers`, of a log in `log_messages`.
 //!
 //! The page has exactly the operator's verbs, and they go the same way: over the run's own socket (`session/operator`). What its hands ask for
 //! are chunks, as a policy's (`session/teleop`). Nothing of it reaches the controller in another way, so it can't weaken a limit.
@@ -26,6 +26,7 @@ mod encode;
 mod facts;
 mod foxglove;
 mod live;
+mod log_messages;
 mod log_view;
 mod path;
 mod pictures;
@@ -37,33 +38,41 @@ mod shared;
 mod state;
 mod tap;
 mod tls;
+mod viewers;
 
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 
+use hal::TimeNs;
 use serde::Serialize;
 use trocar_control::config::ArmConfig;
+use trocar_log::{Level, live as log_form, pre_faulted_queue};
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
 
 pub use address::{Address, BadAddress, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
 pub use doors::Doors;
 pub use facts::Facts;
+pub(crate) use facts::PictureFacts;
 pub(crate) use pictures::{FramePlanes, FrameTap};
 pub(crate) use scene::SceneTap;
 pub use tap::ControlTap;
 
 use crate::mailbox::{MailboxWriter, mailbox};
 use crate::session::SessionError;
-use crate::session::teleop::Hands;
+use crate::session::teleop::{self, Hands};
 use access::Access;
 use doors::{Listening, Reached};
 use live::{Live, Said};
 use log_view::LogView;
 use pictures::Board;
 use shared::Shared;
+use viewers::Message;
+
+/// Ticks in which something happened that may wait to be told: they are looked for twenty times a second.
+const NOTED: usize = 32;
 
 /// A console that listens. Clones are the same one.
 #[derive(Clone, Debug)]
@@ -118,15 +127,17 @@ fn tapped(
     let (task_to, task_from) = mailbox();
     let (commanded, commanded_from) = mailbox();
     let (chunks_to, chunks) = mailbox();
+    let (noted_to, noted) = pre_faulted_queue(NOTED);
     hands.follow(commanded_from);
     let said = Said {
         samples: from,
         task: task_from,
         chunks,
+        noted,
     };
     let live = Live::new(facts, said, operator, (hands, board));
     RunTaps {
-        control: ControlTap::new(to, commanded, chunks_to),
+        control: ControlTap::new(to, commanded, chunks_to, noted_to),
         task: task_to,
         view: RunView(Arc::new(live)),
     }
@@ -190,6 +201,14 @@ impl Console {
         })
     }
 
+    /// From now on the devices at `paths`, under `/dev/input`, are the operator's hands, and those of no page; `warn` hears of those that go.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] if one can't be read or is no input device.
+    pub fn take_hands(&self, paths: &[PathBuf], warn: fn(&str)) -> Result<(), SessionError> {
+        teleop::attend(paths, self.hands(), warn)
+    }
+
     /// What opens it in a browser, with its token; none if it listens for no page.
     #[must_use]
     pub fn url(&self) -> Option<String> {
@@ -220,7 +239,8 @@ impl Console {
     /// # Errors
     /// [`SessionError::Log`] or [`SessionError::Replay`] if it can't be read.
     pub fn show_log(&self, path: &Path) -> Result<(), SessionError> {
-        self.shared.show_log(LogView::read(path)?);
+        self.shared
+            .show_log(LogView::read(path, self.viewers.is_some())?);
         Ok(())
     }
 
@@ -233,8 +253,10 @@ impl Console {
         taps
     }
 
-    /// From now on shows what `facts` say of what is no run; news of it come by [`Self::tell`].
-    pub(crate) fn show_facts(&self, facts: &Facts) {
+    /// From now on shows what `facts` say of drives; news of them come by [`Self::tell`] and [`Self::tell_axes`].
+    pub(crate) fn show_drives(&self, facts: &Facts) {
+        let channels = log_form::of_drives(facts.arms.len(), &facts.cameras);
+        self.shared.viewers.offer(channels, facts.cameras.clone());
         self.shared.facts.send_replace(facts.json().into());
     }
 
@@ -242,6 +264,25 @@ impl Console {
     pub(crate) fn tell(&self, news: &impl Serialize) {
         let text = serde_json::to_string(news).unwrap_or_default();
         self.shared.bulletin.send_replace(text.into());
+    }
+
+    /// Tells viewers, if there are any, where the axes of each arm are and are wanted, as [`log_form::axes`] does.
+    pub(crate) fn tell_axes<'a, I>(&self, at: TimeNs, arms: impl Iterator<Item = I>)
+    where
+        I: Iterator<Item = log_form::Axis<'a>> + Clone,
+    {
+        if self.shared.viewers.any() {
+            let arms = arms.enumerate();
+            let messages = arms.flat_map(|(arm, axes)| log_form::axes(at, arm, axes));
+            let messages = messages.map(|(topic, data)| Message::new(topic, at, data));
+            self.shared.viewers.tell(messages.collect());
+        }
+    }
+
+    /// Tells viewers what has happened, in words.
+    pub(crate) fn happened(&self, at: TimeNs, level: Level, text: &str) {
+        let event = Message::event(at, level, text);
+        self.shared.viewers.happened(vec![event]);
     }
 
     /// Shows the scene of `model` from now on, as it is in `start`, with the limits of `arms`: the end for what moves.
@@ -282,6 +323,9 @@ impl Console {
         };
         let text = serde_json::to_string(&words).unwrap_or_default();
         self.shared.refresh();
+        if let Some(live) = self.shared.live() {
+            self.happened(live.now(), Level::Info, &format!("the run ended: {reason}"));
+        }
         self.shared.over.send_replace(Some(text.into()));
         self.shared.board.close();
         let mut threads = self.threads.lock().unwrap_or_else(PoisonError::into_inner);

@@ -38,11 +38,16 @@ const VIEWER_BYTES_MAX: usize = 16 << 10;
 const WAITING_MAX: usize = 4;
 
 /// The page's files: path, type, text.
-const FILES: [(&str, &str, &str); 17] = [
+const FILES: [(&str, &str, &str); 18] = [
     (
         "/",
         "text/html; charset=utf-8",
         include_str!("page/index.html"),
+    ),
+    (
+        "/spacemouse.js",
+        "text/javascript; charset=utf-8",
+        include_str!("page/spacemouse.js"),
     ),
     (
         "/console.css",

@@ -13,8 +13,10 @@ use super::log_view::LogView;
 use super::pictures::Board;
 use super::scene::Shapes;
 use super::seats::Seats;
+use super::viewers::Viewers;
 use crate::session::operator::Command;
 use crate::session::teleop::Hands;
+use trocar_log::live as log_form;
 
 /// What pages see.
 #[derive(Debug)]
@@ -40,6 +42,10 @@ pub(super) struct Shared {
     pub(super) bulletin: watch::Sender<Utf8Bytes>,
     /// The last words, when all is over.
     pub(super) over: watch::Sender<Option<Utf8Bytes>>,
+    /// What viewers are told.
+    pub(super) viewers: Arc<Viewers>,
+    /// Where in a log a page looked last, s from its first tick.
+    pub(super) place: watch::Sender<Option<f64>>,
     /// The operator's hands, if they move the arms.
     pub(super) hands: Arc<Hands>,
     shown: Mutex<Shown>,
@@ -60,6 +66,8 @@ impl Shared {
             state: watch::Sender::new(Utf8Bytes::default()),
             bulletin: watch::Sender::new(Utf8Bytes::default()),
             over: watch::Sender::new(None),
+            viewers: Arc::default(),
+            place: watch::Sender::new(None),
             hands: Arc::new(Hands::new()),
             shown: Mutex::new(Shown::Nothing),
             scene: Mutex::default(),
@@ -70,15 +78,21 @@ impl Shared {
     /// From now on pages see a run.
     pub(super) fn show_run(&self, live: Arc<Live>) {
         let facts = live.facts();
+        let (arms, cameras) = live.arms_and_cameras();
+        let channels = log_form::of_run(arms, &cameras);
         // Whoever hears of the facts looks for the run.
         self.show(Shown::Live(live));
+        self.viewers.offer(channels, cameras);
         self.facts.send_replace(facts.into());
     }
 
     /// From now on pages see a log.
     pub(super) fn show_log(&self, log: LogView) {
         let facts = log.facts();
+        let (arms, cameras) = log.arms_and_cameras();
+        let channels = log_form::of_log(arms, &cameras);
         self.show(Shown::Log(Arc::new(log)));
+        self.viewers.offer(channels, cameras);
         self.facts.send_replace(facts.into());
     }
 
@@ -126,8 +140,15 @@ impl Shared {
 
     /// Puts up the newest state.
     pub(super) fn refresh(&self) {
-        if let Some(state) = self.live().and_then(|live| live.state()) {
+        let Some(live) = self.live() else {
+            return;
+        };
+        if let Some(state) = live.state() {
             self.state.send_replace(state.into());
+        }
+        self.viewers.happened(live.happened());
+        if self.viewers.any() {
+            self.viewers.tell(live.messages());
         }
     }
 

@@ -3,11 +3,12 @@
 //! It counts every tick and hands over the newest one with the counts fifty times a second, and at once when an arm's state changes.
 
 use hal::{ARMS_MAX, Chunk, PerArm, TICK_NS, TimeNs};
+use rtrb::Producer;
 use trocar_control::rows::Velocities;
 use trocar_control::{
     AnyController, Fault, GateDecision, OperatingState, OperatorEvent, QpOutcome,
 };
-use trocar_log::TickRecord;
+use trocar_log::{ArmRecord, TickRecord};
 
 use crate::mailbox::MailboxWriter;
 use crate::session::teleop::{ArmCommanded, Commanded};
@@ -107,6 +108,10 @@ pub struct ControlTap {
     counts: Counts,
     /// When it last reported, and in which states the arms were.
     reported: Option<(u64, States)>,
+    /// For ticks in which something happened; one that finds no room is not told of.
+    noted: Producer<TickRecord>,
+    /// Whether the guard intervened in the tick before, and in which states the arms were.
+    was: (bool, States),
 }
 
 impl ControlTap {
@@ -114,6 +119,7 @@ impl ControlTap {
         to: MailboxWriter<Sample>,
         commanded: MailboxWriter<Commanded>,
         chunks: MailboxWriter<PerArm<Chunk>>,
+        noted: Producer<TickRecord>,
     ) -> Self {
         Self {
             to,
@@ -138,6 +144,8 @@ impl ControlTap {
                 speed_percent: 100,
             },
             reported: None,
+            noted,
+            was: (false, [None; ARMS_MAX]),
         }
     }
 
@@ -159,12 +167,28 @@ impl ControlTap {
         self.count(record, skipped);
         self.tell_commanded(record);
         let states = states(record);
+        self.note(record, &states);
         let due = self
             .reported
             .is_none_or(|(tick, before)| record.tick >= tick + EVERY_TICKS || before != states);
         if due {
             self.reported = Some((record.tick, states));
             self.to.put(self.sample(record));
+        }
+    }
+
+    /// Notes a tick in which the operator said something, an arm's state changed, the guard began to intervene or a chunk was refused.
+    fn note(&mut self, record: &TickRecord, states: &States) {
+        let any = |what: fn(&ArmRecord) -> bool| record.arms.iter().any(what);
+        let guard = any(|arm| arm.report.guard_intervened);
+        let before = core::mem::replace(&mut self.was, (guard, *states));
+        let refused = |arm: &ArmRecord| arm.report.gate.is_some_and(|gate| !gate.is_accepted());
+        if before.1 != *states
+            || (guard && !before.0)
+            || any(|arm| arm.operator.is_some())
+            || any(refused)
+        {
+            let _full = self.noted.push(*record);
         }
     }
 

@@ -5,7 +5,11 @@ use std::path::PathBuf;
 
 use trocar_tasks::task::{CameraConfig, Mount, Variation, View};
 
+use super::teleop::picture;
 use super::{SessionError, Setup};
+
+/// From one eye of an endoscope to the other, m.
+pub const BASELINE_M: f64 = 0.005;
 
 /// Cameras whose frames are kept, in a dataset or a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -104,6 +108,25 @@ impl Setup {
         Ok(self)
     }
 
+    /// The same setup with a second eye for a person, [`BASELINE_M`] to the right of the picture that hands move in. It is drawn for who
+    /// looks through it, and nothing is recorded of it.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] if no camera stands in the scene, or each stands elsewhere in each episode.
+    pub fn with_stereo(mut self) -> Result<Self, SessionError> {
+        let refused = |reason: &str| SessionError::BadArgument(format!("--stereo: {reason}"));
+        if self.task.view == View::View1 || self.task.varied.contains(&Variation::Views) {
+            return Err(refused(
+                "cameras that are moved by chance are no pair of eyes",
+            ));
+        }
+        let left = picture(&self.task).and_then(|index| self.task.cameras.get(index));
+        let left = left.ok_or_else(|| refused("no camera of this task stands in the scene"))?;
+        let right = left.right_eye(BASELINE_M);
+        self.task.cameras.push(right);
+        Ok(self)
+    }
+
     fn with_variations(mut self, options: &SceneOptions) -> Result<Self, SessionError> {
         let varies = |variation| options.varied.contains(&variation);
         let chosen = [
@@ -160,6 +183,34 @@ mod tests {
             ..SceneOptions::default()
         };
         setup(task, &options).unwrap().cameras_with(Vec::new())
+    }
+
+    /// The second eye is beside the endoscope, sees the same point in the middle, and is none of the cameras that are kept.
+    #[test]
+    fn two_eyes_stand_beside_each_other() {
+        let load = |view| {
+            let options = SceneOptions {
+                view,
+                ..SceneOptions::default()
+            };
+            let changes = crate::session::changes::Changes::default();
+            Setup::load_with("needle-lift", None, &PolicyChoice::Noop, &options, changes).unwrap()
+        };
+        let setup = load(View::Train).with_stereo().unwrap();
+        let [left, .., right] = &setup.task.cameras[..] else {
+            panic!("one camera")
+        };
+        assert_eq!(right.name, "endoscope_right");
+        assert_eq!((left.target_m, left.up), (right.target_m, right.up));
+        let [eye, other, target] =
+            [left.eye_m, right.eye_m, left.target_m].map(nalgebra::Vector3::from);
+        let apart = other - eye;
+        assert!((apart.norm() - BASELINE_M).abs() < 1e-9, "{apart}");
+        // In the picture right is about the scene's x.
+        assert!(apart.x > 0.9 * BASELINE_M && apart.dot(&(target - eye)).abs() < 1e-9);
+        assert_eq!(setup.cameras_with(Vec::new()), ["endoscope"]);
+        let moved = load(View::View1).with_stereo();
+        assert!(moved.is_err_and(|error| error.to_string().contains("--stereo")));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use prost::Message as _;
 
 use super::samples;
 use crate::json::TimingMessage;
-use crate::live::{SCENE, channels, of_arms, tick, transforms};
+use crate::live::{SCENE, of_arms, of_run, tick, transforms};
 use crate::messages::FrameTransforms;
 use crate::record::TickRecord;
 
@@ -20,7 +20,7 @@ fn measured() -> TickRecord {
 /// Each channel says what its messages are, and each message of a tick has a channel.
 #[test]
 fn every_message_has_a_channel() {
-    let channels = channels(1, &["endoscope".to_owned()]);
+    let channels = of_run(1, &["endoscope".to_owned()]);
     assert!(channels.iter().all(|channel| !channel.schema.is_empty()));
     let record = measured();
     let messages = tick(&record, TimeNs(record.now.0 - 7), &[Pose::identity()]);

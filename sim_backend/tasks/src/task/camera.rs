@@ -4,6 +4,7 @@ use core::f64::consts::PI;
 
 use hal::Intrinsics;
 use hal::config::{ConfigError, Source};
+use nalgebra::Vector3;
 use serde::Deserialize;
 
 /// The camera that looks at the scene as a surgeon does.
@@ -57,6 +58,19 @@ impl CameraConfig {
     #[must_use]
     pub fn intrinsics(&self) -> Intrinsics {
         Intrinsics::from_vertical_fov(self.width, self.height, self.vertical_fov_rad)
+    }
+
+    /// The right eye beside this camera, which is the left one: `baseline_m` to its right, with the same point in the middle.
+    #[must_use]
+    pub fn right_eye(&self, baseline_m: f64) -> Self {
+        let [eye, target, up] = [self.eye_m, self.target_m, self.up].map(Vector3::from);
+        let right = (target - eye).cross(&up).normalize();
+        Self {
+            name: format!("{}_right", self.name),
+            primary: false,
+            eye_m: (eye + right * baseline_m).into(),
+            ..self.clone()
+        }
     }
 
     /// The arm that carries the camera, if one does.

@@ -20,7 +20,7 @@ use crate::eval::EvalArgs;
 use crate::export::ExportVerb;
 use crate::import::ImportVerb;
 use crate::operator::{MonitorArgs, OperatorArgs, SpeedArgs};
-use crate::page::{FoxgloveArgs, PageArgs};
+use crate::page::{DeskArgs, FoxgloveArgs, HeadsetArgs, PageArgs};
 use crate::policy::{ExternalArgs, PolicyArgs};
 use crate::record::RecordArgs;
 use crate::scene_args::SceneArgs;
@@ -323,7 +323,7 @@ pub(crate) struct RunArgs {
     /// With --safety: after how long the run ends, s, up to 86400; if not given, only a signal or a fault ends it.
     #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
     pub(crate) seconds: Option<f64>,
-    /// `expert`, `noop`, `random`, `teleop` (an operator's hands, over --console), `simulated-operator` (with --lockstep), a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
+    /// `expert`, `noop`, `random`, `teleop` (an operator's hands, over --console or from --hands), `simulated-operator` (with --lockstep), a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
     /// `external:NAME`, such as one of the Python package in policy/python.
     #[arg(long)]
     pub(crate) policy: String,
@@ -383,6 +383,12 @@ pub(crate) struct RunArgs {
     /// Where it is shown in Foxglove.
     #[command(flatten)]
     pub(crate) viewers: FoxgloveArgs,
+    /// How it is seen in a headset.
+    #[command(flatten)]
+    pub(crate) headset: HeadsetArgs,
+    /// What moves the arms besides.
+    #[command(flatten)]
+    pub(crate) desk: DeskArgs,
     /// Delay from observation to chunk in lockstep, ms, up to 10000.
     #[arg(long, value_name = "MS", value_parser = delay())]
     pub(crate) latency_ms: Option<u64>,
@@ -459,6 +465,9 @@ pub(crate) struct ReplayArgs {
     /// Where it is shown afterwards, with a time line, until Ctrl-C.
     #[command(flatten)]
     pub(crate) page: PageArgs,
+    /// Where it is played to Foxglove.
+    #[command(flatten)]
+    pub(crate) viewers: FoxgloveArgs,
 }
 
 /// Options of `doctor`.

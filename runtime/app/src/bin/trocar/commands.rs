@@ -137,8 +137,10 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     let real_time = RtProfile::load(&realtime_source(args.realtime.as_deref(), &changes)?)?;
     let policy = args.external.policy(&args.policy)?;
     check_teleop(args, &policy)?;
+    check_stereo(args)?;
     note_awaited(&policy, 1);
     let page = args.page.open(args.viewers.foxglove)?;
+    let page = args.desk.take_hands(page)?;
     let chosen = Chosen {
         policy,
         compute: compute(&args.compute)?,
@@ -174,13 +176,30 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     }
 }
 
-/// An operator's hands come over the console, in real time.
+/// A second eye is drawn here, where there is a simulator.
+fn check_stereo(args: &RunArgs) -> Result<(), SessionError> {
+    if args.headset.stereo && args.backend == Backend::Can {
+        let reason = "--stereo needs --backend sim: this run draws no cameras of arms on CAN";
+        return Err(SessionError::BadArgument(reason.to_owned()));
+    }
+    Ok(())
+}
+
+/// An operator's hands come over the console or from devices, in real time.
 fn check_teleop(args: &RunArgs, policy: &PolicyChoice) -> Result<(), SessionError> {
-    let missing = match (policy, args.lockstep, args.page.console) {
+    let hands = args.page.console.is_some() || args.desk.is_given();
+    let missing = match (policy, args.lockstep, hands) {
         (PolicyChoice::Teleop, true, _) => {
             "--lockstep has virtual time, and a person moves in real time: leave it out"
         }
-        (PolicyChoice::Teleop, false, None) => "the operator's hands come over --console",
+        (PolicyChoice::Teleop, false, false) => {
+            "the operator's hands come over --console, or from --hands"
+        }
+        (PolicyChoice::Teleop, false, true) => return Ok(()),
+        _ if args.desk.is_given() => {
+            let reason = "--hands needs --policy teleop";
+            return Err(SessionError::BadArgument(reason.to_owned()));
+        }
         _ => return Ok(()),
     };
     Err(SessionError::BadArgument(format!(
@@ -232,7 +251,8 @@ fn run_task(
     }
     let scene = args.scene.options(args.cameras.as_deref());
     let config = args.config.as_deref();
-    let mut setup = Setup::load_with(task, config, &chosen.policy, &scene, changes)?;
+    let setup = Setup::load_with(task, config, &chosen.policy, &scene, changes)?;
+    let mut setup = args.headset.eyes(setup)?;
     warn_of_transfer(&setup);
     setup.task.time_limit_s *= chosen.policy.time_factor();
     let backend = match can {
@@ -302,7 +322,7 @@ fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionEr
 }
 
 pub(crate) fn replay(args: &ReplayArgs) -> Done {
-    let page = args.page.open(None)?;
+    let page = args.page.open(args.viewers.foxglove)?;
     let replayed = replay_log(&args.log);
     let Some(page) = page else {
         return replayed;
@@ -311,7 +331,7 @@ pub(crate) fn replay(args: &ReplayArgs) -> Done {
     if matches!(&replayed, Ok(_) | Err(SessionError::CutLog { .. })) {
         page.show_log(&args.log.file)?;
         rt::catch_interrupts().map_err(SessionError::signals)?;
-        console::note("trocar: the console shows the log; Ctrl-C ends it");
+        console::note("trocar: the log is shown; Ctrl-C ends it");
         while !rt::interrupted() {
             rt::sleep_ns(CONSOLE_POLL_NS);
         }

@@ -14,7 +14,7 @@ use trocar_canopen::master::CanConfig;
 use crate::args::TaskParser;
 use crate::commands::Done;
 use crate::console;
-use crate::page::PageArgs;
+use crate::page::{FoxgloveArgs, PageArgs};
 use crate::scene_args::{Inputs, SceneArgs};
 
 /// Options of `drives`.
@@ -56,6 +56,9 @@ pub(crate) struct DrivesArgs {
     /// Where they are shown.
     #[command(flatten)]
     pub(crate) page: PageArgs,
+    /// Where they are shown in Foxglove.
+    #[command(flatten)]
+    pub(crate) viewers: FoxgloveArgs,
     /// Write what happened as JSON at the end, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
@@ -96,7 +99,7 @@ pub(crate) fn drives(args: &DrivesArgs) -> Done {
             Moved::Task(&plan)
         }
     };
-    let page = args.page.open(None)?;
+    let page = args.page.open(args.viewers.foxglove)?;
     let options = DrivesOptions {
         topics: args.topics.clone(),
         cameras: args.cameras.is_some(),

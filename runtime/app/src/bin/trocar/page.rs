@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use trocar::console::{Address, Console, DEFAULT_ADDRESS, Doors, FOXGLOVE_ADDRESS};
-use trocar::session::SessionError;
+use trocar::session::{SessionError, Setup};
 
 use crate::console;
 
@@ -28,10 +28,65 @@ pub(crate) struct PageArgs {
 /// Where Foxglove is told.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct FoxgloveArgs {
-    /// Serve Foxglove's WebSocket protocol: cameras, joints, frames, shapes, filter and guard, at this
-    /// address, 127.0.0.1:8765 if none is given; its URL with its token is printed. It moves nothing. config/foxglove.json is a layout.
+    /// Serve Foxglove's WebSocket protocol at this address, 127.0.0.1:8765 if none is given: cameras, joints, frames, and, as far as there
+    /// are, shapes, filter, guard and events. Its URL with its token is printed. It moves nothing. A log is played where a page of --console
+    /// looks, or else in its own time, over and over. config/foxglove.json is a layout.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = FOXGLOVE_ADDRESS)]
     pub(crate) foxglove: Option<Address>,
+}
+
+/// What a person in a headset sees.
+#[derive(Args, Clone, Copy, Debug)]
+pub(crate) struct HeadsetArgs {
+    /// Two eyes in the headset: beside the endoscope's picture, the left one, that of an eye 5 mm to its right, which is drawn while somebody
+    /// looks through it. Not with cameras that are moved by chance.
+    #[arg(long, requires = "console")]
+    pub(crate) stereo: bool,
+}
+
+impl HeadsetArgs {
+    /// `setup` with as many eyes as asked for.
+    pub(crate) fn eyes(self, setup: Setup) -> Result<Setup, SessionError> {
+        if self.stereo {
+            setup.with_stereo()
+        } else {
+            Ok(setup)
+        }
+    }
+}
+
+/// What a person moves the arms with.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct DeskArgs {
+    /// Move the arms with a keyboard, gamepad or SpaceMouse of this computer, such as /dev/input/event5, in place of a page's: the controls are
+    /// the page's own; G or Start starts a demonstration, Y or A keeps it, Z or Select has it done again, X or B discards it. Several may be
+    /// given; of two arms the first then moves psm1 and the others psm2. A keyboard moves the arms whichever window has the focus. A file or
+    /// pipe of recorded events will do as well.
+    #[arg(long, value_name = "PATH")]
+    pub(crate) hands: Vec<PathBuf>,
+}
+
+impl DeskArgs {
+    /// The console of a session whose hands are these devices: the `opened` one, or one that listens nowhere.
+    pub(crate) fn take_hands(
+        &self,
+        opened: Option<Console>,
+    ) -> Result<Option<Console>, SessionError> {
+        if self.hands.is_empty() {
+            return Ok(opened);
+        }
+        let console = match opened {
+            Some(console) => console,
+            None => Console::open_doors(&Doors::default())?,
+        };
+        console.take_hands(&self.hands, console::warning)?;
+        Ok(Some(console))
+    }
+
+    /// Whether there is a device.
+    pub(crate) const fn is_given(&self) -> bool {
+        !self.hands.is_empty()
+    }
 }
 
 impl PageArgs {

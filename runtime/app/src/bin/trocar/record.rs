@@ -16,7 +16,7 @@ use trocar_data::dataset::Totals;
 use crate::args::{TaskParser, Video, count, share_above_0, threads};
 use crate::commands::{Done, codec};
 use crate::console;
-use crate::page::{FoxgloveArgs, PageArgs};
+use crate::page::{DeskArgs, FoxgloveArgs, HeadsetArgs, PageArgs};
 use crate::policy::SimulatedArgs;
 use crate::scene_args::{ConfigArgs, Inputs, ScenesArgs};
 
@@ -65,6 +65,12 @@ pub(crate) struct RecordArgs {
     /// Where it is shown in Foxglove.
     #[command(flatten)]
     pub(crate) viewers: FoxgloveArgs,
+    /// How it is seen in a headset.
+    #[command(flatten)]
+    pub(crate) headset: HeadsetArgs,
+    /// What moves the arms besides.
+    #[command(flatten)]
+    pub(crate) desk: DeskArgs,
     /// The dataset's directory; a new or an empty one, but for --resume.
     #[arg(long)]
     pub(crate) out: PathBuf,
@@ -121,9 +127,11 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     .check(&[("--json", args.json.as_deref())])?;
     let demonstrator = demonstrator(args)?;
     let scenes = args.scenes.options(Some(&args.cameras));
-    let mut setup = args.config.setup(&args.task, &demonstrator, &scenes)?;
+    let setup = args.config.setup(&args.task, &demonstrator, &scenes)?;
+    let mut setup = args.headset.eyes(setup)?;
     setup.task.time_limit_s *= demonstrator.time_factor();
     let page = args.page.open(args.viewers.foxglove)?;
+    let page = args.desk.take_hands(page)?;
     let plan = Plan {
         seed: args.seed,
         warn: console::warning,
@@ -201,11 +209,13 @@ fn demonstrator(args: &RecordArgs) -> Result<PolicyChoice, SessionError> {
 fn check_source(args: &RecordArgs) -> Result<(), SessionError> {
     let by_hand = args.source.is_a_person();
     let intervention = args.source == Demonstrator::Intervention;
-    let wrong = match (by_hand, args.page.console) {
-        (true, None) => {
-            "--source teleop and intervention: the operator's hands come over --console"
+    let at_desk = args.desk.is_given();
+    let wrong = match (by_hand, args.page.console.is_some() || at_desk) {
+        _ if at_desk && args.source != Demonstrator::Teleop => "--hands needs --source teleop",
+        (true, false) => {
+            "--source teleop and intervention: the operator's hands come over --console, those of teleop from --hands too"
         }
-        (true, Some(_)) if args.jobs > 1 => "--jobs: a person does one episode at a time",
+        (true, true) if args.jobs > 1 => "--jobs: a person does one episode at a time",
         _ if args.disturb.is_some() && args.source != Demonstrator::Expert => {
             "--disturb needs --source expert"
         }

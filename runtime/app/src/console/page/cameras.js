@@ -6,6 +6,7 @@ export class Cameras {
   #views = [];
   #send;
   #others;
+  #also = [];
 
   /** `others` says which streams are wanted besides. */
   constructor(send, others) {
@@ -29,13 +30,29 @@ export class Cameras {
   }
 
   want() {
-    const wanted = this.#views.map((view, index) => [index, view.plane]).filter(([, plane]) => plane !== "off");
+    const wanted = this.#views.map((view, index) => [index, this.#plane(index)]).filter(([, plane]) => plane !== "off");
     this.#send({ show: [...wanted, ...this.#others()] });
+  }
+
+  /** Pictures of these cameras are wanted too, though they are not shown. */
+  also(cameras) {
+    this.#also = cameras;
+    this.want();
+  }
+
+  /** The element with the newest picture of a camera, if there is such a camera. */
+  image(camera) {
+    return this.#views[camera]?.image;
+  }
+
+  #plane(camera) {
+    const { plane } = this.#views[camera];
+    return plane === "off" && this.#also.includes(camera) ? "colour" : plane;
   }
 
   async picture(camera, plane, seconds, blob) {
     const view = this.#views[camera];
-    if (!view || PLANES[plane] !== view.plane) return;
+    if (!view || PLANES[plane] !== this.#plane(camera)) return;
     // While one is decoded only the newest waits.
     view.next = { seconds, blob };
     if (view.busy) return;

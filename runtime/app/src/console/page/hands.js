@@ -19,11 +19,14 @@ const KEY_JAW_1_S = 1.2;
 const STICK_M_S = 0.12;
 const STICK_RAD_S = 1.0;
 const DEAD_ZONE = 0.15;
-const PICTURE_M = 0.2;
+const DRAG_RAD = 3;
 const WHEEL_M = 0.0001;
+const WHEEL_RAD = 0.002;
+const TICK_M_MAX = 0.05;
+const TICK_RAD_MAX = 0.2;
 
 /** No motion. */
-const still = () => ({ clutch: false, way: [0, 0, 0], turn: [0, 0, 0], jaw: 0 });
+export const still = () => ({ clutch: false, way: [0, 0, 0], turn: [0, 0, 0], jaw: 0 });
 
 /** Keys that are down. A tap moves little: the speed grows while a key is held. */
 export class Keyboard {
@@ -118,23 +121,33 @@ export function padMotion(pad) {
   };
 }
 
-/** Drags on a camera's picture: the clutch, the way in the picture, and its depth by the wheel. */
+/**
+ * Drags of the tip in a picture, whose button is the clutch: the way in the view's plane, depth by the wheel; with Shift turns, by the wheel
+ * about the line of sight.
+ */
 export class Drag {
   #way = [0, 0, 0];
+  #turn = [0, 0, 0];
   #pointer = null;
+  #at = null;
 
-  constructor(root) {
+  /** `picture()` is the image that can be dragged, if there is one. */
+  constructor(root, picture) {
     root.addEventListener("pointerdown", (event) => {
-      if (!this.on || event.target.tagName !== "IMG" || event.button !== 0) return;
+      if (!this.on || event.target !== picture() || event.button !== 0) return;
       event.preventDefault();
       this.#pointer = event.pointerId;
+      this.#at = [event.clientX, event.clientY];
       event.target.setPointerCapture(event.pointerId);
     });
     root.addEventListener("pointermove", (event) => {
       if (event.pointerId !== this.#pointer) return;
-      const scale = PICTURE_M / Math.max(1, event.target.clientWidth);
-      this.#way[0] += event.movementX * scale;
-      this.#way[1] -= event.movementY * scale;
+      const width = Math.max(1, event.target.clientWidth);
+      const [dx, dy] = [event.clientX - this.#at[0], event.clientY - this.#at[1]].map((pixels) => pixels / width);
+      this.#at = [event.clientX, event.clientY];
+      const [to, part] = event.shiftKey ? [this.#turn, [dy * DRAG_RAD, dx * DRAG_RAD]] : [this.#way, [dx, -dy]];
+      to[0] += part[0];
+      to[1] += part[1];
     });
     for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
       root.addEventListener(end, (event) => {
@@ -144,7 +157,10 @@ export class Drag {
     root.addEventListener("wheel", (event) => {
       if (this.#pointer === null) return;
       event.preventDefault();
-      this.#way[2] += Math.max(-50, Math.min(50, event.deltaY)) * WHEEL_M;
+      // With Shift some browsers take the wheel for one to the side.
+      const clicks = Math.max(-50, Math.min(50, event.deltaY || event.deltaX));
+      if (event.shiftKey) this.#turn[2] += clicks * WHEEL_RAD;
+      else this.#way[2] += clicks * WHEEL_M;
     }, { passive: false });
     this.on = false;
   }
@@ -156,13 +172,18 @@ export class Drag {
   clear() {
     this.#pointer = null;
     this.#way = [0, 0, 0];
+    this.#turn = [0, 0, 0];
   }
 
-  /** The way since the last call, m. */
-  take() {
-    const way = this.#way;
-    this.#way = [0, 0, 0];
-    return way;
+  /** The hand's way, m, and turn, rad, since the last call, where the picture is `wide_m` of the hand's way wide. A hand has its pace: what it could not do yet is left. */
+  take(wide_m) {
+    const part = (left, unit, most) => {
+      const asked = left.map((value, axis) => value * unit[axis]);
+      const share = Math.min(1, most / Math.max(1e-9, Math.hypot(...asked)));
+      left.forEach((value, axis) => { left[axis] = value * (1 - share); });
+      return asked.map((value) => value * share);
+    };
+    return { way: part(this.#way, [wide_m, wide_m, 1], TICK_M_MAX), turn: part(this.#turn, [1, 1, 1], TICK_RAD_MAX) };
   }
 }
 
@@ -192,10 +213,6 @@ export class VirtualHand {
       const sine = (Math.sin(angle / 2) * seconds) / angle;
       this.turn = unit(times([...turn.map((value) => value * sine), Math.cos(angle / 2)], this.turn));
     }
-  }
-
-  shift(way) {
-    if (this.clutch) this.at = this.at.map((value, axis) => Math.max(-5, Math.min(5, value + way[axis])));
   }
 
   /** What the run is told. */

@@ -14,11 +14,16 @@ export class Headset {
   #space = null;
   #screen = null;
   #offered = false;
+  #eyes;
 
-  /** `tell(arms)` gets the hands of each frame, `arms()` says how many there are. */
-  constructor(tell, arms) {
+  /**
+   * `tell(arms)` gets the hands of each frame, `arms()` says how many there are; `eyes.images()` are what the left and the right eye see,
+   * `eyes.want(on)` asks for them.
+   */
+  constructor(tell, arms, eyes) {
     this.#tell = tell;
     this.#arms = arms;
+    this.#eyes = eyes;
   }
 
   get running() {
@@ -48,6 +53,7 @@ export class Headset {
     });
     this.#space = await session.requestReferenceSpace("local");
     this.#screen = await Screen.open(session).catch(() => null);
+    this.#eyes.want(true);
     session.requestAnimationFrame((time, frame) => this.#frame(frame));
     document.getElementById("enter-vr-text").textContent = "Leave the headset";
   }
@@ -55,6 +61,7 @@ export class Headset {
   #ended() {
     this.#session = null;
     this.#screen = null;
+    this.#eyes.want(false);
     document.getElementById("enter-vr-text").textContent = "Enter the headset";
     this.#tell(this.#none());
   }
@@ -75,7 +82,7 @@ export class Headset {
       }
     }
     this.#tell(arms);
-    this.#screen?.draw(frame, this.#space);
+    this.#screen?.draw(frame, this.#space, this.#eyes.images());
   }
 
   // Of two arms the left hand has the second: psm1 is on the right in the picture. Of one arm the right hand has it.
@@ -97,7 +104,7 @@ function hand(source, pose) {
   };
 }
 
-/** The first camera's picture on a plane in front of the viewer, the same for both eyes. */
+/** A picture for each eye, or one for both, on a plane in front of the viewer. */
 class Screen {
   static async open(session) {
     const canvas = document.createElement("canvas");
@@ -126,23 +133,35 @@ class Screen {
     gl.enableVertexAttribArray(at);
     gl.vertexAttribPointer(at, 2, gl.FLOAT, false, 0, 0);
     this.clip = gl.getUniformLocation(program, "clip");
-    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+    this.pictures = [0, 1].map(() => ({ texture: gl.createTexture(), shown: null }));
+    for (const { texture } of this.pictures) {
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+    }
   }
 
-  draw(frame, space) {
+  /** Binds the picture of an eye; whether it has one. */
+  #bind(eye, image) {
+    const { gl } = this;
+    const picture = this.pictures[eye];
+    gl.bindTexture(gl.TEXTURE_2D, picture.texture);
+    if (image?.naturalWidth && image.complete && image.src !== picture.shown) {
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, gl.RGB, gl.UNSIGNED_BYTE, image);
+      picture.shown = image.src;
+    }
+    return picture.shown !== null;
+  }
+
+  draw(frame, space, images) {
     const { gl, layer } = this;
     const viewer = frame.getViewerPose(space);
-    const image = document.querySelector("#views img");
     gl.bindFramebuffer(gl.FRAMEBUFFER, layer.framebuffer);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    if (!viewer || !image?.naturalWidth) return;
-    if (image.src !== this.shown) {
-      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, gl.RGB, gl.UNSIGNED_BYTE, image);
-      this.shown = image.src;
-    }
+    if (!viewer) return;
     for (const view of viewer.views) {
+      const eye = view.eye === "right" && images[1] !== images[0] ? 1 : 0;
+      if (!this.#bind(eye, images[eye])) continue;
       const port = layer.getViewport(view);
       gl.viewport(port.x, port.y, port.width, port.height);
       const clip = new DOMMatrix([...view.projectionMatrix]).multiply(new DOMMatrix([...view.transform.inverse.matrix]));

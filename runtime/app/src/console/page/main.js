@@ -23,7 +23,7 @@ const scene = new Scene(() => cameras.want());
 const cameras = new Cameras(send, () => (scene.wanted ? [[SCENE, "colour"]] : []));
 const operator = new Operator(send);
 const timeline = new Timeline(send);
-const teleop = new Teleop(send);
+const teleop = new Teleop(send, cameras);
 const drives = new Drives();
 const recording = new Recording();
 let link = "waiting";

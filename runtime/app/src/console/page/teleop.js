@@ -2,10 +2,13 @@
 
 import { Drag, Keyboard, Mover, VirtualHand, gamepads } from "./hands.js";
 import { Headset } from "./headset.js";
+import { SpaceMouse, canConnect } from "./spacemouse.js";
 import { byId } from "./dom.js";
 
 // Fifty a second; the run lets go of what it does not hear of for a tenth of a second.
 const EVERY_MS = 20;
+/** How wide a picture is for a hand where it is not known what it shows, m. */
+const PICTURE_M = 0.2;
 const PHASES = { waiting: "waits for its start", running: "is recorded", writing: "is written" };
 
 export class Teleop {
@@ -18,22 +21,30 @@ export class Teleop {
   #hands = [new VirtualHand(), new VirtualHand()];
   #movers = [new Mover(), new Mover()];
   #keyboard = new Keyboard();
-  #drag = new Drag(byId("views"));
+  #cap = new SpaceMouse();
+  #picture = null;
+  #drag;
   #held = false;
   #other = false;
   #before = performance.now();
   #dragging = false;
   #driver = null;
 
-  constructor(send) {
+  constructor(send, cameras) {
     this.#send = send;
-    this.headset = new Headset((arms) => this.#tell(arms), () => this.#status?.arms.length ?? 1);
+    this.#drag = new Drag(byId("views"), () => cameras.image(this.#picture?.camera ?? 0));
+    const eyes = {
+      images: () => [this.#picture?.camera ?? 0, this.#picture?.right ?? this.#picture?.camera ?? 0].map((camera) => cameras.image(camera)),
+      want: (on) => cameras.also(on && Number.isInteger(this.#picture?.right) ? [this.#picture.right] : []),
+    };
+    this.headset = new Headset((arms) => this.#tell(arms), () => this.#status?.arms.length ?? 1, eyes);
     this.#listen();
     setInterval(() => this.#tick(), EVERY_MS);
   }
 
-  facts({ arms }) {
+  facts({ arms, picture }) {
     this.#names = arms;
+    this.#picture = picture ?? null;
     this.#choose(Math.min(this.#arm, arms.length - 1));
   }
 
@@ -57,7 +68,7 @@ export class Teleop {
     this.#status = status ?? null;
     byId("teleop").hidden = !status;
     document.body.classList.toggle("by-hand", Boolean(status));
-    this.#drag.on = Boolean(status) && this.#steers;
+    this.#drag.on = Boolean(status) && this.#steers && !status.desk;
     if (!status) return;
     if (!this.#dragging) {
       byId("scale").value = Math.round(status.scale * 100);
@@ -99,6 +110,9 @@ export class Teleop {
       button.onclick = () => this.#send({ episode: button.dataset.episode });
     }
     byId("hand-back").onclick = () => this.#send({ hand_back: true });
+    const connect = byId("connect-cap");
+    connect.hidden = !canConnect();
+    connect.onclick = () => this.#cap.connect().catch((error) => { byId("device").textContent = `No SpaceMouse: ${error.message}`; });
     byId("enter-vr").onclick = () => this.headset.toggle();
     document.addEventListener("keydown", (event) => this.#key(event));
     window.addEventListener("blur", () => this.#hidden());
@@ -120,13 +134,14 @@ export class Teleop {
   #hidden() {
     if (this.headset.running) return;
     this.#letGo();
-    if (this.#status) this.#send({ hands_off: true });
+    if (this.#status && !this.#status.desk) this.#send({ hands_off: true });
   }
 
   #letGo() {
     this.#held = false;
     this.#keyboard.clear();
     this.#drag.clear();
+    this.#cap.clear();
   }
 
   #choose(arm) {
@@ -152,7 +167,8 @@ export class Teleop {
     const now = performance.now();
     const seconds = Math.min(0.05, (now - this.#before) / 1000);
     this.#before = now;
-    if (!this.#status || !this.#open || !this.#steers || document.hidden || this.headset.running) return;
+    if (this.#status?.desk) byId("device").textContent = "Devices: those at the robot's computer.";
+    if (!this.#status || this.#status.desk || !this.#open || !this.#steers || document.hidden || this.headset.running) return;
     const count = this.#status.arms.length;
     const pads = gamepads();
     const alone = count === 1 || pads.length < 2;
@@ -162,7 +178,7 @@ export class Teleop {
     if (other && !this.#other && count > 1) this.#choose((this.#arm + 1) % count);
     this.#other = other;
     this.#tell(motions.map((motion, index) => this.#hand(index, motion, now, seconds)));
-    byId("device").textContent = devices(pads.length);
+    byId("device").textContent = devices(pads.length, this.#cap.connected);
   }
 
   /** The hand of an arm after what its devices ask for. */
@@ -170,21 +186,30 @@ export class Teleop {
     const hand = this.#hands[index];
     const chosen = index === this.#arm;
     const keys = this.#keyboard.motion(now);
-    const drag = this.#drag.clutch;
-    const byKeys = chosen && (keys.clutch || this.#held || drag);
-    hand.hold(Boolean(pad?.clutch) || byKeys, this.#status.arms[index].jaw);
+    const byDesk = chosen && (keys.clutch || this.#cap.clutch || this.#held || this.#drag.clutch);
+    hand.hold(Boolean(pad?.clutch) || byDesk, this.#status.arms[index].jaw);
     if (pad?.clutch) {
       hand.move(pad, seconds);
       hand.jaw = pad.trigger;
-    } else if (byKeys) {
+    } else if (byDesk) {
+      const cap = this.#cap.motion(now, hand.jaw);
       hand.move(keys, seconds);
-      hand.shift(this.#drag.take());
-      hand.jaw = Math.min(1, Math.max(0, hand.jaw + keys.jaw * seconds));
+      hand.move(cap, seconds);
+      hand.move(this.#drag.take(this.#wide(index)), 1);
+      hand.jaw = Math.min(1, Math.max(0, hand.jaw + (keys.jaw + cap.jaw) * seconds));
     }
     return hand.told;
   }
 
+  /** What way of the hand takes the tip of an arm across the picture, m: what is dragged stays under the pointer. */
+  #wide(index) {
+    const tip = this.#status.arms[index].tip;
+    if (!tip || !this.#picture) return PICTURE_M;
+    return (this.#picture.wide * -tip[2]) / this.#status.scale;
+  }
+
   #tell(arms) {
+    if (this.#status?.desk) return;
     this.#send({ hands: { t: performance.now(), arms } });
   }
 
@@ -241,7 +266,8 @@ function word(arm, driver) {
   return arm.lost ? `holds: ${arm.lost}; let go, then hold again` : "holds";
 }
 
-function devices(pads) {
+function devices(pads, cap) {
   const more = pads === 0 ? "" : pads === 1 ? ", one gamepad" : `, ${pads} gamepads`;
-  return `Devices: keyboard, mouse on the picture${more}.`;
+  const space = cap ? ", SpaceMouse" : "";
+  return `Devices: keyboard, mouse on the picture${more}${space}.`;
 }

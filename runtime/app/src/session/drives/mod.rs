@@ -229,7 +229,7 @@ fn show_page(
         }
         Moved::Arms(_) => Facts::of_drives("drives", 0, names, Vec::new()),
     };
-    console.show_facts(&facts);
+    console.show_drives(&facts);
     let spaces = can.arms.iter().take(arms).map(|arm| arm.plan.space);
     Some(DrivesPage::new(console, seen, spaces, interfaces.to_vec()))
 }

@@ -8,6 +8,7 @@ use serde::Serialize;
 use trocar_canopen::cia301::NmtState;
 use trocar_canopen::cia402::{Mode, PowerState};
 use trocar_canopen::master::Space;
+use trocar_log::Level;
 
 use super::seen::{AxisSeen, Seen};
 use crate::console::Console;
@@ -114,6 +115,7 @@ impl DrivesPage {
             seconds: self.now.seconds(),
             text: text.to_owned(),
         });
+        self.console.happened(self.now, Level::Info, text);
     }
 
     /// Tells the pages how the drives are, if there is something new.
@@ -123,7 +125,11 @@ impl DrivesPage {
         };
         self.take_loads(&seen);
         self.now = seen.now;
-        self.console.tell(&self.news(&seen));
+        let news = self.news(&seen);
+        let axes = |axis: &AxisNews| (axis.name, axis.position, axis.wanted);
+        let arms = news.arms.iter().map(|arm| arm.axes.iter().map(axes));
+        self.console.tell_axes(seen.now, arms);
+        self.console.tell(&news);
     }
 
     fn news(&self, seen: &Seen) -> News<'_> {

@@ -114,7 +114,7 @@ fn run_threads(
     let port = (listener.as_ref(), &mut operator);
     let console = show_task(plan, &simulation.snapshot(), port)?.unzip();
     let (intervention, hands) = intervention(plan).unzip();
-    let signals = Arc::new(Signals::default());
+    let signals = Arc::new(Signals::of(plan.console.as_ref()));
     // Slow things first: opening a device takes longer than an episode's first second.
     let start = simulation.snapshot();
     let (observers, shown) = Observers::open(plan, child.as_deref(), console, &start)?;

@@ -2,13 +2,16 @@
 
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
+use trocar_tasks::task::TaskConfig;
 
 use super::camera_thread::{ConsoleCameras, Snapshot};
 use super::simulation_thread::ConsoleView;
-use crate::console::{Facts, unseen_run};
+use crate::console::{Facts, PictureFacts, unseen_run};
 use crate::mailbox::mailbox;
 use crate::session::operator::{Listener, OperatorPort};
 use crate::session::plan::Arms;
+use crate::session::scene_options::BASELINE_M;
+use crate::session::teleop::picture;
 use crate::session::views::Views;
 use crate::session::{Plan, SessionError};
 
@@ -21,6 +24,7 @@ pub(super) fn show_task(
     let setup = &plan.setup;
     let facts = facts_of(plan, &setup.task_name, setup.camera_names());
     let facts = facts.within_s(setup.task.time_limit_s);
+    let facts = facts.moved_in(picture_of(&setup.task));
     let Some(console) = &plan.console else {
         show_operator(facts, listener, port);
         return Ok(None);
@@ -42,6 +46,19 @@ pub(super) fn show_task(
     };
     let cameras = ConsoleCameras::new(Views::new(console.frames(), scene), snapshots);
     Ok(Some((view, cameras)))
+}
+
+/// The picture that hands move in.
+fn picture_of(task: &TaskConfig) -> Option<PictureFacts> {
+    let camera = picture(task)?;
+    let config = task.cameras.get(camera)?;
+    let right = config.right_eye(BASELINE_M).name;
+    let lens = config.intrinsics();
+    Some(PictureFacts {
+        camera,
+        wide: f64::from(lens.width) / lens.fx,
+        right: task.cameras.iter().position(|it| it.name == right),
+    })
 }
 
 /// Shows a run without a simulation of its own.

@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use hal::TimeNs;
 use trocar_log::{Level, SideLog};
 
+use crate::console::Console;
 use crate::rt;
 use crate::session::operator::Served;
 
@@ -31,11 +32,21 @@ pub(super) struct Signals {
     torque_allowed: AtomicBool,
     /// What is lacking for now, while the arms hold.
     lacking: AtomicU8,
+    /// Where viewers hear what the log is to say.
+    console: Option<Console>,
     /// What the log is to say of it; of no interest to the control thread.
     told: Mutex<Vec<(TimeNs, Level, String)>>,
 }
 
 impl Signals {
+    /// Those of a run that `console` shows, if there is one.
+    pub(super) fn of(console: Option<&Console>) -> Self {
+        Self {
+            console: console.cloned(),
+            ..Self::default()
+        }
+    }
+
     /// Whether the arm should come to rest.
     pub(super) fn done(&self) -> bool {
         self.done.load(Ordering::Acquire)
@@ -81,8 +92,11 @@ impl Signals {
         self.lacking.fetch_and(!(what as u8), Ordering::AcqRel);
     }
 
-    /// Has the log say something; whoever has the log takes it from here.
+    /// Has the log say something, which viewers hear at once; whoever has the log takes it from here.
     pub(super) fn tell(&self, at: TimeNs, level: Level, text: &str) {
+        if let Some(console) = &self.console {
+            console.happened(at, level, text);
+        }
         let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
         told.push((at, level, text.to_owned()));
     }

@@ -9,6 +9,7 @@ use trocar_log::{LogFile, Recorder, SideLog, TickLog};
 use super::on_can::News;
 use super::signals::Signals;
 use super::{CHUNK_QUEUE, listen, split};
+use crate::console::Console;
 use crate::mailbox::{MailboxReader, MailboxWriter, mailbox};
 use crate::rig::can::Noticed;
 use crate::rt::MonotonicClock;
@@ -50,17 +51,20 @@ pub(super) struct SeenWires {
 impl SeenWires {
     /// Writes into the log what has happened to arms, buses and policy.
     pub(super) fn tell(&mut self) {
-        self.news.tell(self.log.as_mut());
+        self.news.tell(&self.signals);
         self.signals.write_told(self.log.as_mut());
     }
 }
 
 impl Wires {
-    pub(super) fn new(recorder: Option<Recorder>, clock: MonotonicClock) -> Self {
+    pub(super) fn new(
+        (recorder, console): (Option<Recorder>, Option<&Console>),
+        clock: MonotonicClock,
+    ) -> Self {
         let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
         let (measured_in, measured) = mailbox();
         let (noticed_in, noticed) = mailbox();
-        let signals = Arc::new(Signals::default());
+        let signals = Arc::new(Signals::of(console));
         let (listener, operator) = listen(false);
         let (tick_log, side_log, log) = split(recorder);
         Self {

@@ -122,6 +122,16 @@ impl Hands {
         Ok(())
     }
 
+    /// From now on the hands are devices at the run's own computer, and no page's.
+    pub(super) fn take_desk(&self) {
+        self.lock().desk = true;
+    }
+
+    /// Whether they are.
+    pub(crate) fn are_at_desk(&self) -> bool {
+        self.lock().desk
+    }
+
     /// The end of the control thread's mailbox, of the run that begins.
     pub(crate) fn follow(&self, commanded: MailboxReader<Commanded>) {
         self.lock().commanded = Some(commanded);
@@ -307,6 +317,7 @@ impl Hands {
             jaw: tip.map_or(0.0, |(_, closed)| closed),
         });
         (inner.arms > 0).then(|| TeleopStatus {
+            desk: inner.desk,
             scale: inner.scale(),
             driver: inner.driver,
             arms: arms.collect(),

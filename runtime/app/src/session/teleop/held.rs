@@ -17,6 +17,8 @@ const STEP_RAD_MAX: f64 = 0.8;
 /// All of it; nothing at first.
 #[derive(Debug, Default)]
 pub(super) struct Held {
+    /// Whether the hands are devices at the run's own computer.
+    pub(super) desk: bool,
     /// How many arms are moved by hand; 0 as long as the policy is another.
     pub(super) arms: usize,
     /// The page that sends.

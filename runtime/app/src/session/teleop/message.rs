@@ -54,6 +54,9 @@ pub(crate) enum BadHands {
     /// The page does not steer.
     #[error("only the page that steers moves the arms: take control first")]
     NoSeat,
+    /// The hands are devices at the run's own computer.
+    #[error("the arms are moved by --hands at the robot's computer: a page looks on")]
+    Desk,
     /// There are no such arms.
     #[error("hands for {0} arms: there are fewer")]
     Arms(usize),

@@ -1,4 +1,4 @@
-//! Teleoperation: an operator's hands, which a page of the console tells of, as a source of chunks like any policy.
+//! Teleoperation: an operator's hands, which a page of the console or devices here (`desk`) tell of, as a source of chunks like any policy.
 //!
 //! ```text
 //!  page ── hands, 50 a second ──> console's thread: `message` checks, `Hands` holds the newest and each arm's `Clutch`
@@ -20,6 +20,7 @@
 
 mod clutch;
 mod demonstration;
+mod desk;
 mod hands;
 mod held;
 mod intervention;
@@ -40,6 +41,7 @@ use trocar_log::TickRecord;
 pub(crate) use clutch::Lost;
 pub(crate) use demonstration::Demonstrating;
 pub use demonstration::{Demonstration, Moment, Wish};
+pub(crate) use desk::attend;
 pub(crate) use hands::Hands;
 pub(crate) use intervention::{FromHands, Intervention};
 pub use latency::{InterventionSummary, TeleopSummary};
@@ -47,6 +49,7 @@ pub(crate) use message::{BadHands, HandsMessage};
 pub use operator::{DELAYS_MS, OperatorFigures, SimulatedOperator, TREMORS_MM};
 pub use source::Teleop;
 pub(crate) use status::{Phase, Recording, TeleopStatus};
+pub(crate) use view::picture;
 
 /// By how much longer an operator may take than the task allows its policies.
 pub const TIME_FACTOR: f64 = 10.0;

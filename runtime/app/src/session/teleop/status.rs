@@ -8,6 +8,8 @@ use super::Driver;
 /// What there is to show.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct TeleopStatus {
+    /// Whether the hands are devices at the run's own computer.
+    pub(super) desk: bool,
     pub(super) scale: f64,
     /// Who drives, if there is a policy beside the hands.
     pub(super) driver: Option<Driver>,

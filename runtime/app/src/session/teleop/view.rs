@@ -10,17 +10,15 @@ use trocar_tasks::task::{CameraConfig, ENDOSCOPE, Mount, TaskConfig};
 ///
 /// The picture is the endoscope's, or that of the first other camera that stands in the scene; without any, the scene's own axes.
 pub(super) fn rcm_from_view(task: &TaskConfig, scene_from_rcm: &Pose) -> Pose {
-    let standing = |camera: &&CameraConfig| camera.mount == Mount::Scene;
-    let mut standing_cameras = task.cameras.iter().filter(standing);
-    let endoscope = task
-        .cameras
-        .iter()
-        .filter(standing)
-        .find(|it| it.name == ENDOSCOPE);
-    let scene_from_view = endoscope
-        .or_else(|| standing_cameras.next())
-        .map_or_else(Pose::identity, scene_from_view);
-    scene_from_rcm.inverse() * scene_from_view
+    let camera = picture(task).and_then(|index| task.cameras.get(index));
+    scene_from_rcm.inverse() * camera.map_or_else(Pose::identity, scene_from_view)
+}
+
+/// The camera of that picture, in the order of the task's.
+pub(crate) fn picture(task: &TaskConfig) -> Option<usize> {
+    let find = |fits: fn(&CameraConfig) -> bool| task.cameras.iter().position(fits);
+    let endoscope = find(|it| it.name == ENDOSCOPE && it.mount == Mount::Scene);
+    endoscope.or_else(|| find(|it| it.mount == Mount::Scene))
 }
 
 /// A camera looks along its own z with y down.

@@ -1,10 +1,11 @@
 //! What happens to an arm on CAN and to its buses, and what the log says of it.
 
 use super::super::policy_process::arm_names;
+use super::super::signals::Signals;
 use crate::mailbox::MailboxReader;
 use crate::rig::can::{Happened, Noticed};
 use hal::PerArm;
-use trocar_log::{Level, SideLog};
+use trocar_log::Level;
 
 impl Happened {
     /// What is new since `before`, for a person. A fault ends the motion; a controller that is error passive still works, and the
@@ -42,20 +43,17 @@ impl News {
         }
     }
 
-    /// Writes into the log what has happened to an arm and its buses.
-    pub(in super::super) fn tell(&mut self, log: Option<&mut SideLog>) {
+    /// Tells what has happened to an arm and its buses.
+    pub(in super::super) fn tell(&mut self, signals: &Signals) {
         let Some((at, happened)) = self.noticed.take() else {
             return;
         };
         let told = self.told.replace(happened);
         let told = told.unwrap_or(happened.map(|_| Happened::default()));
-        let Some(log) = log else {
-            return;
-        };
         let arms = happened.iter().zip(told.iter());
         for ((now, before), name) in arms.zip(arm_names(happened.count())) {
             for (level, text) in now.news(before) {
-                log.event(at, level, &format!("{name}: {text}"));
+                signals.tell(at, level, &format!("{name}: {text}"));
             }
         }
     }

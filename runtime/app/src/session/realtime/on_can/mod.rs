@@ -209,7 +209,7 @@ impl Begun<'_> {
         let (mut child, source) = policy.start(plan, Some(outside), say)?;
         let ready = bring_up(can, self.buses, say)?;
         awaited::still_there(&mut cameras, clock, &can.topics, say)?;
-        let mut wires = Wires::new(plan.open_log(false)?, clock);
+        let mut wires = Wires::new((plan.open_log(false)?, plan.console.as_ref()), clock);
         show_rig(plan, (wires.listener.as_ref(), &mut wires.control.operator));
         let robot = plan.setup.robot();
         let reports = arm_reports(&node, robot.arms(), child.is_some())?;

@@ -37,7 +37,7 @@ pub fn run_rig<R: Rig + Send>(
     check_policy(&plan.policy.name(), &source)?;
     source.reset(plan.seed);
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
-    let mut wires = Wires::new(plan.open_log(false)?, clock);
+    let mut wires = Wires::new((plan.open_log(false)?, plan.console.as_ref()), clock);
     show_rig(plan, (wires.listener.as_ref(), &mut wires.control.operator));
     let ControlWires {
         measured,

@@ -70,7 +70,7 @@ fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
     let node = TopicNode::join(&format!("test-{}-{does:?}", std::process::id())).unwrap();
     let mut camera = Some(CameraTopic::publisher(&node, "scope", 64).unwrap());
     let topic = CameraTopic::subscriber(&node, "scope").unwrap();
-    let wires = Wires::new(None, clock);
+    let wires = Wires::new((None, None), clock);
     let (mut control, signals) = (wires.control, Arc::clone(&wires.seen.signals));
     let asked = RobotOptions {
         cameras: Vec::new(),
