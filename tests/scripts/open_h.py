@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """`trocar export open-h` and `trocar import lerobot` against Open-H-Embodiment's own validator and LeRobot 0.3.3.
 
-Requirements: Python 3.10 to 3.12, ffmpeg, lerobot==0.3.3 opencv-python-headless pandas tyro (a CPU suffices)
+Requirements: Python 3.10 to 3.12, ffmpeg, lerobot==0.3.3 'av<15' opencv-python-headless pandas tyro (a CPU suffices)
 
     cargo build --locked --workspace
     python tests/scripts/open_h.py target/open-h --validator OPEN_H/scripts/validation/validate_formatting.py

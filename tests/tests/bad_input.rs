@@ -327,9 +327,9 @@ fn simulated_operators_that_cannot_be_are_refused() {
     let fixed = [&fixed[..], &["--source", "simulated-operator"]].concat();
     for (options, expected) in [
         (["--operator-delay-ms", "501"], "0..=500"),
-        (["--operator-delay-ms", "-1"], "--operator-delay-ms"),
+        (["--operator-delay-ms", "-1"], "unexpected argument"),
         (["--operator-tremor-mm", "2.5"], "[0, 2]"),
-        (["--operator-tremor-mm", "-0.1"], "--operator-tremor-mm"),
+        (["--operator-tremor-mm", "-0.1"], "unexpected argument"),
         (["--operator-tremor-mm", "NaN"], "[0, 2]"),
         (["--disturb", "0.5"], "--disturb needs --source expert"),
         (

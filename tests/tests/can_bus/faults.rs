@@ -94,6 +94,19 @@ fn stop_and_return(log: &RunLog) -> (usize, bool) {
     (rest.unwrap(), after.any(|(tick, _)| fastest(tick) > 0.01))
 }
 
+/// After the policy and after the camera it goes on.
+fn assert_goes_on_twice(log: &RunLog) {
+    let resumed: Vec<usize> = log
+        .ticks()
+        .enumerate()
+        .filter(|(_, (tick, _))| tick.arms.first.operator == Some(OperatorEvent::Resume))
+        .map(|(at, _)| at)
+        .collect();
+    assert_eq!(resumed.len(), 2);
+    let mut again = log.ticks().skip(resumed[1]);
+    assert!(again.any(|(tick, _)| tick.arms.first.command.velocity.amax() > 0.01));
+}
+
 /// The same of a robot on CAN as of simulated arms: its policy may die and come back, the clock may jump, and its camera may be gone for
 /// a while.
 #[test]
@@ -112,23 +125,16 @@ fn killed_policy_and_killed_camera_come_back() {
     let log = folder.join("run.mcap");
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
     let policy_name = format!("external:{topics}");
-    let run = [
-        "run",
-        "--backend",
-        "can",
-        "--topics",
-        topics,
-        "--policy",
-        &policy_name,
-    ];
-    let files = [
-        "--safety",
-        safety.to_str().unwrap(),
-        "--log",
-        log.to_str().unwrap(),
-    ];
+    let run = ["run", "--backend", "can", "--topics", topics];
+    let policy_of = ["--policy", &policy_name];
+    let safety = ["--safety", safety.to_str().unwrap()];
+    let kept = ["--log", log.to_str().unwrap()];
     let rules = ["--set", "control.policy.restarts=1"];
-    let mut run = Process::start(&folder, "run", &[&run[..], &files, &rules].concat());
+    let mut run = Process::start(
+        &folder,
+        "run",
+        &[&run[..], &policy_of, &safety, &kept, &rules].concat(),
+    );
     run.until("the arm has been moving", || {
         fs::metadata(&log).is_ok_and(|log| log.len() > 300_000)
     });
@@ -159,16 +165,7 @@ fn killed_policy_and_killed_camera_come_back() {
     assert!(replay(&log).unwrap().identical);
     let (rest, returns) = stop_and_return(&log);
     assert!(returns && rest < 500, "at rest after {rest} ticks");
-    // After the policy and after the camera it goes on.
-    let resumed: Vec<usize> = log
-        .ticks()
-        .enumerate()
-        .filter(|(_, (tick, _))| tick.arms.first.operator == Some(OperatorEvent::Resume))
-        .map(|(at, _)| at)
-        .collect();
-    assert_eq!(resumed.len(), 2);
-    let mut again = log.ticks().skip(resumed[1]);
-    assert!(again.any(|(tick, _)| tick.arms.first.command.velocity.amax() > 0.01));
+    assert_goes_on_twice(&log);
     let (last, _) = log.ticks().last().unwrap();
     assert!(last.arms.first.command.velocity.amax() <= 0.0);
     println!(

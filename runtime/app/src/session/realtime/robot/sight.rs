@@ -12,6 +12,9 @@ use super::super::signals::{Lacking, Signals};
 /// A camera that shows nothing for this long, or nothing but old frames, is gone, ns.
 const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
+/// How a run is supervised, and who says on the terminal what happens.
+pub(super) type Rules = (Supervision, fn(&str));
+
 /// The cameras that a policy looks through.
 pub(super) struct Sight {
     /// By name, when each last showed something, by the run's clock.
@@ -30,7 +33,7 @@ pub(super) struct Sight {
 
 impl Sight {
     /// Through the cameras of these names, supervised by these rules.
-    pub(super) fn new(names: Vec<String>, (rules, warn): (Supervision, fn(&str))) -> Self {
+    pub(super) fn new(names: Vec<String>, (rules, warn): Rules) -> Self {
         Self {
             sizes: vec![None; names.len()],
             shown: names.into_iter().map(|name| (name, TimeNs(0))).collect(),

@@ -10,13 +10,12 @@ use super::super::on_can::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
 use super::super::signals::EndsRun;
 use super::super::wires::{Local, SeenWires};
 use super::RobotOptions;
-use super::sight::Sight;
+use super::sight::{Rules, Sight};
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
 use crate::session::source::{Query, STEP_NS};
 use hal::PerArm;
-use trocar_control::Supervision;
 
 /// Time between two looks at the measured arms, which wake nobody, ns; a frame does.
 const POLL_NS: u64 = 2_000_000;
@@ -83,7 +82,7 @@ impl RobotThread {
         local: Local,
         reports: Vec<Publisher<ArmReport>>,
         (cameras, looked_at): (Vec<Camera>, usize),
-        (asked, supervised): (&RobotOptions, (Supervision, fn(&str))),
+        (asked, supervised): (&RobotOptions, Rules),
     ) -> Self {
         let names = cameras.iter().take(looked_at);
         let names = names.map(|(name, _)| name.clone()).collect();

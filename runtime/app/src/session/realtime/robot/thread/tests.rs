@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use hal::{Intrinsics, JointVector, Pose};
+use trocar_control::Supervision;
 use trocar_topics::{CameraTopic, FrameHeader, FramePublisher, TopicNode};
 
 use super::super::super::signals::{Lacking, Signals};
