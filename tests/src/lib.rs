@@ -42,6 +42,8 @@ pub fn trocar(profile: Profile) -> Command {
     );
     let mut command = Command::new(binary);
     command.current_dir(repository());
+    // What it keeps for its user is no business of a test's.
+    command.env("XDG_STATE_HOME", repository().join("target/scratch/state"));
     command
 }
 

@@ -218,7 +218,7 @@ fn ct_becomes_labels_and_meshes() {
     assert!(told["table"] == "groups" && told["size"] == size, "{told}");
     assert!(told["groups"][16]["dice"].as_f64().unwrap() > 0.5, "{told}");
     let all = fs::read(&found).unwrap();
-    done(&[&segment[..], &["--memory-gb", "0.01"]].concat());
+    done(&[&segment[..], &["--memory-gb", "0.001"]].concat());
     assert_eq!(fs::read(&found).unwrap(), all);
 
     let options = ["--groups", "groups", "--max-error-mm", "2"];

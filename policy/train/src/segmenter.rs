@@ -55,6 +55,12 @@ pub struct SegmenterTraining {
 const LOSS_EVERY: u64 = 20;
 
 impl SegmenterTraining {
+    /// What is impossible in the options, if something is.
+    #[must_use]
+    pub fn defect(&self) -> Option<String> {
+        self.options().defect()
+    }
+
     fn options(&self) -> TrainOptions {
         TrainOptions {
             steps: self.steps,

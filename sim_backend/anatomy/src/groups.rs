@@ -215,7 +215,7 @@ mod tests {
         }
     }
 
-    /// VISTA3D's classes are 132 numbers of which five have no meaning; the others are MAISI's.
+    /// VISTA3D's classes are 132 numbers of which its weights do not support five; the others are MAISI's.
     #[test]
     fn all_classes_of_vista3d_have_a_place() {
         let vista = Groups::load("vista3d").expect("the table is right");

@@ -102,8 +102,10 @@ impl Rig for OnCan {
     }
 
     fn pass(&mut self) {
-        self.now = self.now.plus_ns(self.period_ns);
-        let now = self.now;
+        let now = self.now.plus_ns(self.period_ns);
+        // As the runtime does: nothing stands before the SYNC.
+        self.arm.as_mut().unwrap().send_before(now);
+        self.now = now;
         self.net().wait(now);
     }
 

@@ -21,6 +21,9 @@ pub use unet::{UNet, UNetConfig};
 use crate::checkpoint::{Cause, CheckpointError, load_segmenter};
 use crate::dimension::dimension;
 
+/// Most voxels of a scan as the network sees it: 4 GB.
+const VOXELS_MAX: f64 = 1e9;
+
 /// Why a volume can't be classified.
 #[derive(Debug, thiserror::Error)]
 pub enum SegmentError {
@@ -38,6 +41,14 @@ pub enum SegmentError {
         needed_gb: f64,
         /// The bound.
         allowed_gb: f64,
+    },
+    /// The scan in the network's voxels is too large.
+    #[error(
+        "at the model's voxel size the scan has {voxels:.1e} voxels, and {VOXELS_MAX:.1e} at most are read"
+    )]
+    Large {
+        /// How many they would be.
+        voxels: f64,
     },
     /// The network library failed.
     #[error("the model fails: {0}")]

@@ -11,8 +11,9 @@ use tch::{Kind, TchError, Tensor};
 use super::axis::{Axis, gaussian, sample, whole};
 use super::settings::Weighting;
 use super::slab::{Back, Slab};
-use super::{SegmentError, Segmenter};
+use super::{SegmentError, Segmenter, VOXELS_MAX};
 use crate::dimension::dimension;
+use hal::count::count_u32;
 
 /// The class of a voxel that is none of the model's.
 pub const BACKGROUND: u8 = 255;
@@ -57,6 +58,11 @@ impl Segmenter {
             "a value a voxel"
         );
         let axes = self.axes(image);
+        let sides = axes.iter().map(|axis| f64::from(count_u32(axis.padded)));
+        let seen: f64 = sides.product();
+        if seen > VOXELS_MAX {
+            return Err(SegmentError::Large { voxels: seen });
+        }
         let strips = self.strips(&axes, memory_bytes)?;
         let mut classes = vec![BACKGROUND; voxels];
         tch::no_grad(|| {

@@ -62,10 +62,13 @@ impl LogMessages {
         }
     }
 
-    /// Lets every second message go.
+    /// Lets every second message go, but for events, which are few.
     fn thin_out(&mut self) {
         self.every_ns *= 2;
-        for kept in self.topics.values_mut() {
+        for (topic, kept) in &mut self.topics {
+            if topic == live::EVENTS {
+                continue;
+            }
             let mut index = 0;
             kept.retain(|_, _| {
                 index += 1;

@@ -194,6 +194,11 @@ pub fn segment(
     let sources = [
         ("the CT", Some(options.ct.as_path())),
         ("--model", Some(options.model.as_path())),
+        (
+            "--against",
+            options.against.as_ref().map(|(path, _)| path.as_path()),
+        ),
+        ("--settings", options.settings.as_deref().map(Path::new)),
     ];
     outputs::check(&[("--out", Some(options.out.as_path()))], &sources)?;
     tch::set_num_threads(i32::try_from(options.threads).unwrap_or(i32::MAX));

@@ -137,6 +137,16 @@ pub fn train(
     }
     let vista = Groups::load("vista3d")?;
     let (size, settings, config) = plan(options, &vista);
+    let defect = config.defect().or_else(|| options.training.defect());
+    let defect = defect.or_else(|| settings.defect().map(|defect| defect.to_string()));
+    if let Some(defect) = defect {
+        return Err(SessionError::BadArgument(defect));
+    }
+    if size.0.iter().any(|side| *side < options.patch) {
+        let (patch, sides) = (options.patch, size.0);
+        let text = format!("--patch {patch}: at --spacing-mm a scan has {sides:?} voxels");
+        return Err(SessionError::BadArgument(text));
+    }
     if !options.patch.is_multiple_of(config.multiple()) {
         let (patch, multiple) = (options.patch, config.multiple());
         let text = format!(

@@ -522,7 +522,7 @@ impl ChunkSource {
 }
 
 fn seen_scene<'a>(query: &Query<'a>) -> Result<&'a SceneState, SessionError> {
-    let missing = || SessionError::BadArgument("the expert needs a scene to see".to_owned());
+    let missing = || SessionError::BadArgument("this policy needs a scene to see".to_owned());
     query.scene.ok_or_else(missing)
 }
 

@@ -108,8 +108,19 @@ impl<'a> Reader<'a> {
         let name = name.map_or_else(|| format!("mesh-{index}"), |name| plain(name));
         let mut welded = Welded::default();
         let mut looks = None;
-        let triangles = |primitive: &&Primitive| primitive.mode == Checked::Valid(Mode::Triangles);
-        for primitive in shape.primitives.iter().filter(triangles) {
+        if node.skin.is_some() {
+            return Err(format!("{name}: it has a skin, which is not read"));
+        }
+        for primitive in &shape.primitives {
+            match primitive.mode {
+                Checked::Valid(Mode::Triangles) => {}
+                Checked::Valid(Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip) => {
+                    continue;
+                }
+                Checked::Valid(Mode::TriangleStrip | Mode::TriangleFan) | Checked::Invalid => {
+                    return Err(format!("{name}: triangle strips and fans are not read"));
+                }
+            }
             let material = primitive.material.and_then(|it| self.root.get(it));
             let base = material.map(|material| &material.pbr_metallic_roughness);
             let own = base.map(|base| (base.base_color_factor.0, base.roughness_factor.0));
@@ -124,11 +135,16 @@ impl<'a> Reader<'a> {
         if let Some(reason) = fault(&mesh) {
             return Err(format!("{name}: {reason}; glTF has metres"));
         }
-        let twin = |part: &&Part| part.name == name || part.name.starts_with(&format!("{name}-"));
-        let name = match self.parts.iter().filter(twin).count() {
-            0 => name,
-            twins => format!("{name}-{}", twins + 1),
+        let taken = |name: &String| self.parts.iter().any(|part| part.name == *name);
+        let mut numbered = (2..).map(|number| format!("{name}-{number}"));
+        let name = if taken(&name) {
+            numbered.find(|name| !taken(name)).unwrap_or(name)
+        } else {
+            name
         };
+        if self.parts.len() == PARTS_MAX {
+            return Err(format!("it has more than {PARTS_MAX} meshes"));
+        }
         self.parts.push(Part {
             name,
             mesh,
@@ -232,6 +248,10 @@ impl<'a> Reader<'a> {
     fn place(&self, accessor: &Accessor, size: usize) -> Option<(usize, usize, usize)> {
         let bytes = |number: USize64| usize::try_from(number.0).ok();
         let view = self.root.get(accessor.buffer_view?)?;
+        let first = self.root.buffers.first()?;
+        if view.buffer.value() != 0 || first.uri.is_some() {
+            return None;
+        }
         let offset = bytes(view.byte_offset.unwrap_or_default())?;
         let end = offset.checked_add(bytes(view.byte_length)?)?;
         let first = offset.checked_add(bytes(accessor.byte_offset.unwrap_or_default())?)?;

@@ -78,12 +78,7 @@ struct Document {
 #[derive(Deserialize)]
 struct Header {
     #[serde(default)]
-    extras: Extras,
-}
-
-#[derive(Default, Deserialize)]
-struct Extras {
-    frame: Option<String>,
+    extras: serde_json::Value,
 }
 
 #[derive(Deserialize)]
@@ -207,7 +202,7 @@ fn load(path: &Path) -> io::Result<Vec<u8>> {
 pub(super) fn parts(file: &[u8]) -> Result<Vec<Part>, String> {
     let [json, numbers] = chunks(file)?;
     let heading: Heading = serde_json::from_slice(json).map_err(|error| error.to_string())?;
-    if heading.asset.extras.frame.as_deref() != Some(FRAME) {
+    if heading.asset.extras["frame"].as_str() != Some(FRAME) {
         return foreign::parts(file);
     }
     let document: Document = serde_json::from_slice(json).map_err(|error| error.to_string())?;

@@ -39,6 +39,10 @@ pub(super) fn arrange(folder: &Path, slices: &mut [Slice]) -> Result<Grid, Dicom
     if let Some(reason) = unevenness(&normal, slices) {
         return Err(wrong(reason));
     }
+    if let Some(slice) = out_of_line(slices) {
+        let path = slice.path.display();
+        return Err(wrong(format!("{path} is not in line with the others")));
+    }
     let grid = grid(slices);
     let spacing = grid.spacing();
     let placed = grid.origin.iter().all(|mm| mm.abs() < 1e6);
@@ -103,6 +107,17 @@ fn unevenness(normal: &Vector3<f64>, slices: &[Slice]) -> Option<String> {
             format!("{both} are {gap:.3} mm apart and others {usual:.3} mm: slices are missing")
         })
     })
+}
+
+/// A slice that is off its place on the line from the first to the last, if one is; places are often rounded to 0.1 mm.
+fn out_of_line(slices: &[Slice]) -> Option<&Slice> {
+    let (first, last) = (&slices[0], &slices[slices.len() - 1]);
+    let step = (last.position - first.position) / real(slices.len() - 1);
+    let most = (STEP_TOLERANCE * step.norm()).max(0.1);
+    let mut placed = slices.iter().enumerate();
+    let off =
+        placed.find(|(k, slice)| (slice.position - first.position - step * real(*k)).norm() > most);
+    off.map(|(_, slice)| slice)
 }
 
 /// Where slices in order lie. A tilted gantry makes steps that are not at a right angle to the slices.

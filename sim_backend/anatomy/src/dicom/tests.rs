@@ -182,6 +182,17 @@ fn slices_that_do_not_fit_together_are_refused() {
             "at the same place",
         ),
         (
+            "line",
+            |it| {
+                let grid = grid();
+                let aside = grid.steps.column(0).normalize() * 5.0;
+                let place = grid.origin + grid.steps.column(2) * 3.0 + aside;
+                let place = decimals(&[-place.x, -place.y, place.z]);
+                text(it, tags::IMAGE_POSITION_PATIENT, VR::DS, &place);
+            },
+            "not in line",
+        ),
+        (
             "spacing",
             |it| text(it, tags::PIXEL_SPACING, VR::DS, "0.7\\0.9"),
             "differ in size, pixel spacing",

@@ -1,15 +1,22 @@
 //! The log that a robot's run keeps unasked: what led to a fault is on disk, whoever forgot `--log`.
 
 use std::env;
-use std::fs;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use crate::args::{Backend, RunArgs};
 use crate::console;
 
 /// What it takes at most, bytes: of a robot without cameras some hours, with two of 512 x 512 pixels about the last ten seconds.
 const BYTES_MAX: u64 = 256 << 20;
+
+/// A log that is no longer holds no tick, bytes: of a run that ended before its arms moved.
+const HEADER_BYTES: u64 = 100_000;
+
+/// The lock of the log that this process keeps.
+static LOCK: OnceLock<File> = OnceLock::new();
 
 /// The run's log and its bound, as asked or as a robot keeps it.
 pub(crate) fn log_of(args: &RunArgs) -> (Option<PathBuf>, Option<u64>) {
@@ -54,8 +61,20 @@ fn kept(folder: &Path, topics: &str) -> io::Result<PathBuf> {
         return Err(io::Error::other(format!("{topics:?} is no name of topics")));
     }
     fs::create_dir_all(folder)?;
+    // For as long as this process lives: another run on these topics keeps no log, and does not touch this one's.
+    let lock = File::create(folder.join(format!("{topics}.lock")))?;
+    lock.try_lock()
+        .map_err(|_| io::Error::other(format!("another run on topics {topics:?} keeps its own")))?;
+    let _first = LOCK.set(lock);
     let file = |end: &str| folder.join(format!("{topics}{end}.mcap"));
-    for part in ["", ".earlier"] {
+    let there = fs::metadata(file("")).map_or(0, |found| found.len());
+    // One that came to no motion leaves the log of the one before, in which a fault may be.
+    let parts: &[&str] = if there > HEADER_BYTES {
+        &["", ".earlier"]
+    } else {
+        &[]
+    };
+    for part in parts {
         let before = file(&format!(".before{part}"));
         match fs::rename(file(part), &before) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -65,5 +84,7 @@ fn kept(folder: &Path, topics: &str) -> io::Result<PathBuf> {
             done => done?,
         }
     }
+    // Whether it can be written is said now, not when the arms have torque.
+    File::options().append(true).create(true).open(file(""))?;
     Ok(file(""))
 }

@@ -1,6 +1,6 @@
 //! The verbs `anatomy segment` and `anatomy train-segmenter`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
@@ -36,7 +36,7 @@ pub(crate) struct SegmentArgs {
     /// How overlapping windows are weighted; the model's own if not given.
     #[arg(long, value_enum)]
     weighting: Option<WindowWeighting>,
-    /// Bound of the memory for scores, GB, 0.01 to 1000: what exceeds it is done in strips. The network's own memory for a window is not
+    /// Bound of the memory for scores, GB, 0.001 to 1000: what exceeds it is done in strips. The network's own memory for a window is not
     /// counted.
     #[arg(long, value_name = "GB", default_value_t = 4.0, value_parser = memory_gb)]
     memory_gb: f64,
@@ -127,7 +127,7 @@ fn overlap(text: &str) -> Result<f64, String> {
 }
 
 fn memory_gb(text: &str) -> Result<f64, String> {
-    within(text, 0.01, 1000.0)
+    within(text, 0.001, 1000.0)
 }
 
 fn spacing_mm(text: &str) -> Result<f64, String> {
@@ -137,7 +137,7 @@ fn spacing_mm(text: &str) -> Result<f64, String> {
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "between 0.01 and 1000 GB"
+    reason = "between 0.001 and 1000 GB"
 )]
 pub(crate) fn segment(args: &SegmentArgs) -> Done {
     let written = [
@@ -147,6 +147,8 @@ pub(crate) fn segment(args: &SegmentArgs) -> Done {
     let read = [
         ("the CT", Some(args.ct.as_path())),
         ("--model", Some(args.model.as_path())),
+        ("--against", args.against.as_deref()),
+        ("--settings", args.settings.as_deref().map(Path::new)),
     ];
     outputs::check(&written, &read)?;
     if !args

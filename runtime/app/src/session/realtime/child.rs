@@ -393,6 +393,11 @@ impl PolicyChild {
         self.history_steps
     }
 
+    /// No answer is expected of it for now, since it is shown nothing.
+    pub(super) fn excuse(&mut self) {
+        self.answered = self.answered.map(|_| self.clock.now());
+    }
+
     /// The newest answer, a chunk for each arm, if one has come since the last call.
     pub(super) fn newest_chunks(&mut self) -> Result<Option<PerArm<Chunk>>, SessionError> {
         let answer = self.chunks.newest()?;

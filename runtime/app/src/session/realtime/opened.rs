@@ -53,7 +53,7 @@ impl<'a> Opened<'a> {
             }
             PolicyChoice::Teleop => Self::by_hand(plan),
             PolicyChoice::Operator(_) => Err(SessionError::BadArgument(format!(
-                "policy {}: it moves in lockstep alone: give --lockstep",
+                "policy {}: it moves simulated arms in lockstep alone (run --lockstep, eval, record --source simulated-operator)",
                 plan.policy.name()
             ))),
             PolicyChoice::Expert

@@ -1,6 +1,6 @@
 //! Flags between the threads of a run, and the promise that no thread's end leaves the others waiting.
 
-use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use hal::TimeNs;
@@ -32,6 +32,8 @@ pub(super) struct Signals {
     torque_allowed: AtomicBool,
     /// What is lacking for now, while the arms hold.
     lacking: AtomicU8,
+    /// The first instant whose observation ends the hold for want of an answer, ns.
+    answers_from: AtomicU64,
     /// Where viewers hear what the log is to say.
     console: Option<Console>,
     /// What the log is to say of it; of no interest to the control thread.
@@ -87,6 +89,17 @@ impl Signals {
         self.lacking.fetch_or(what as u8, Ordering::AcqRel);
     }
 
+    /// Makes the arms hold until there is an answer to an observation of `from` or later.
+    pub(super) fn hold_for_answers(&self, from: TimeNs) {
+        self.answers_from.store(from.0, Ordering::Release);
+        self.hold(Lacking::Answers);
+    }
+
+    /// From when on an answer's observation must be to end a hold.
+    pub(super) fn answers_from(&self) -> TimeNs {
+        TimeNs(self.answers_from.load(Ordering::Acquire))
+    }
+
     /// Lets the arms go on, unless something else is lacking.
     pub(super) fn go_on(&self, what: Lacking) {
         self.lacking.fetch_and(!(what as u8), Ordering::AcqRel);
@@ -104,8 +117,9 @@ impl Signals {
     /// Writes into the log what it is to say.
     pub(super) fn write_told(&self, log: Option<&mut SideLog>) {
         let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        let told = told.drain(..);
         if let Some(log) = log {
-            for (at, level, text) in told.drain(..) {
+            for (at, level, text) in told {
                 log.event(at, level, &text);
             }
         }

@@ -81,6 +81,9 @@ impl<'a> Supervised<'a> {
         }
         if let Some(answer) = self.child.newest_chunks()? {
             if signals.lacks(Lacking::Answers) {
+                if answer.first.observed_at < signals.answers_from() {
+                    return Ok(());
+                }
                 // Before the chunk: arms that are paused would ignore it.
                 signals.go_on(Lacking::Answers);
                 self.tell(
@@ -101,6 +104,9 @@ impl<'a> Supervised<'a> {
     /// Starts it again when it is time to; why the run ends with it, if so.
     pub(super) fn look_after(&mut self, signals: &Signals) -> Result<Option<String>, SessionError> {
         let now = self.clock.now();
+        if signals.lacks(Lacking::Frames) {
+            self.child.excuse();
+        }
         match self.presence {
             Presence::Here => Ok(self
                 .child

@@ -86,8 +86,7 @@ impl Sight {
             (None, None) => None,
             (None, Some(_)) => {
                 self.gone_until = None;
-                // Its answers are from before, and so the arms wait for the next one.
-                signals.hold(Lacking::Answers);
+                signals.hold_for_answers(now);
                 signals.go_on(Lacking::Frames);
                 self.tell(now, signals, Level::Info, "the cameras show frames again");
                 None

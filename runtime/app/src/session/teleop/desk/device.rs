@@ -86,9 +86,9 @@ pub(super) struct Device {
     down: BTreeMap<u16, TimeNs>,
     /// Absolute axes as the device tells them, -1 to 1, a trigger 0 to 1.
     axes: BTreeMap<u16, f64>,
-    /// Deflections of a cap, way and turn, and when they were told; what this frame says of them.
+    /// Deflections of a cap, way and turn, and when each of both was told; what this frame says of them.
     cap: [f64; 6],
-    told: Option<TimeNs>,
+    told: [Option<TimeNs>; 2],
     frame: [Option<f64>; 6],
     /// Whether the jaw is to change its direction, and which one it has.
     flips: bool,
@@ -145,7 +145,7 @@ impl Device {
         if self.is_cap {
             if let Some(axis) = self.cap.get_mut(usize::from(code)) {
                 *axis = f64::from(value) / CAP_FULL;
-                self.told = None;
+                self.told = [None; 2];
             }
             return;
         }
@@ -165,13 +165,13 @@ impl Device {
 
     /// A frame tells way or turn; an axis of it that is not told is 0.
     fn end_frame(&mut self, now: TimeNs) {
-        for half in [0..3, 3..6] {
-            let told = &self.frame[half.clone()];
+        for (half, axes) in [0..3, 3..6].into_iter().enumerate() {
+            let told = &self.frame[axes.clone()];
             if told.iter().any(Option::is_some) {
-                for axis in half {
+                for axis in axes {
                     self.cap[axis] = self.frame[axis].unwrap_or(0.0);
                 }
-                self.told = Some(now);
+                self.told[half] = Some(now);
             }
         }
         self.frame = [None; 6];
@@ -231,10 +231,15 @@ impl Device {
             jaw: JAW_1_S * self.closing,
             ..Asked::default()
         };
-        if self.told.is_none_or(|told| now.since(told) <= SILENT_NS) {
-            let [x, y, z, a, b, c] = self.cap.map(|value| fine(value, CAP_DEAD));
-            // Its axes are x to the right, y towards the person, z down.
+        let [x, y, z, a, b, c] = self.cap.map(|value| fine(value, CAP_DEAD));
+        // The kernel passes on no 0: a half that springs back falls silent.
+        let holds = |told: Option<TimeNs>| told.is_none_or(|told| now.since(told) <= SILENT_NS);
+        let [way, turn] = self.told.map(holds);
+        // Its axes are x to the right, y towards the person, z down.
+        if way {
             asked.way = STICK_M_S * Vector3::new(x, -z, y);
+        }
+        if turn {
             asked.turn = STICK_RAD_S * Vector3::new(a, -c, b);
         }
         asked

@@ -71,7 +71,7 @@ pub(crate) fn attend(
     let gone = move |index: usize| {
         let path = paths.get(index).map(|path| path.display().to_string());
         warn(&format!(
-            "{} has gone: what it moved holds",
+            "--hands {}: the device is disconnected; its arm holds",
             path.unwrap_or_default()
         ));
     };

@@ -148,12 +148,21 @@ fn a_cap_moves_the_way_it_is_pushed() {
         asked.way
     );
     assert!((asked.turn.z - 1.0).abs() < 1e-9, "{}", asked.turn);
+    // A turn that springs back is told by nothing; a way that is told again and again does not hold it.
+    device.take(rel(Rel::REL_Z, -350), ms(290));
+    device.take(SYN, ms(290));
+    let asked = device.asked(ms(300), 0.0);
+    assert!(
+        asked.way.y > 0.0 && asked.turn.norm() == 0.0,
+        "{}",
+        asked.turn
+    );
     // An axis that a frame does not tell is 0 again.
-    device.take(rel(Rel::REL_X, 100), ms(110));
-    device.take(SYN, ms(110));
-    let asked = device.asked(ms(120), 0.0);
+    device.take(rel(Rel::REL_X, 100), ms(310));
+    device.take(SYN, ms(310));
+    let asked = device.asked(ms(320), 0.0);
     assert!(asked.way.x > 0.0 && asked.way.y == 0.0, "{}", asked.way);
-    let asked = device.asked(ms(400), 0.0);
+    let asked = device.asked(ms(600), 0.0);
     assert!(asked.clutch && asked.way.norm() == 0.0 && asked.turn.norm() == 0.0);
     // The second button closes the jaw, or opens it.
     device.take(key(Key::BTN_1, 1), ms(400));
