@@ -103,8 +103,10 @@ impl Rig for OnCan {
 
     fn pass(&mut self) {
         let now = self.now.plus_ns(self.period_ns);
-        // As the runtime does: nothing stands before the SYNC.
-        self.arm.as_mut().unwrap().send_before(now);
+        // A controller that is faster than the bus says when it reads next, as the runtime does.
+        if self.period_ns < self.plan.cycle_ns {
+            self.arm.as_mut().unwrap().send_before(now);
+        }
         self.now = now;
         self.net().wait(now);
     }

@@ -22,9 +22,9 @@ const TAKE_DOWN_CYCLES: u64 = 20;
 /// Everything is exchanged in one place, the [`Arm::read`] in which a SYNC is due: it takes what has come, sends the set-points that
 /// the newest [`Arm::write`] left and then the SYNC that puts them into effect. The answers to it are what is read from the next SYNC
 /// on, so a measurement is one cycle old. Who knows when that read comes may let the set-points leave as soon as they are there, by
-/// [`CanArm::send_before`]; then nothing stands before the SYNC. A cycle without a new command is one of the tail. A controller may be
-/// faster than the bus by a whole factor; between two SYNCs it reads the same measurement again, since half of the answers would have
-/// to be guessed. After a [`Fault`] the drives stop, and nothing enables them again but a new [`Offline`](super::Offline).
+/// [`CanArm::send_before`]; then nothing stands before the SYNC, whose answers otherwise come later by the set-points' time on the bus. A
+/// cycle without a new command is one of the tail. A controller may be faster than the bus by a whole factor; between two SYNCs it reads
+/// the same measurement again, since half of the answers would have to be guessed. After a [`Fault`] the drives stop, and nothing enables them again but a new [`Offline`](super::Offline).
 #[derive(Debug)]
 pub struct CanArm<B> {
     bus: B,

@@ -52,7 +52,7 @@ pub(super) struct LogView {
 }
 
 impl LogView {
-    /// Reads the log at `path`, with its messages if somebody `views` them.
+    /// Reads the log at `path`, with its messages for viewers if `views`.
     ///
     /// # Errors
     /// [`SessionError::Log`] or [`SessionError::Replay`].

@@ -11,7 +11,7 @@ use trocar_control::{
 use trocar_log::{ArmRecord, TickRecord};
 
 use crate::mailbox::MailboxWriter;
-use crate::session::teleop::{ArmCommanded, Commanded};
+use crate::session::teleop::Commanded;
 
 /// Ticks from one report to the next.
 const EVERY_TICKS: u64 = 20;
@@ -194,20 +194,8 @@ impl ControlTap {
 
     /// Every tick's, since hands that take the clutch begin from there.
     fn tell_commanded(&mut self, record: &TickRecord) {
-        if let Some(sequence) = record.arms.first.chunk_sequence {
-            self.given = (sequence, record.now);
-        }
-        self.commanded.put(Commanded {
-            at: self.given.1,
-            sequence: self.given.0,
-            arms: record.arms.map(|arm| ArmCommanded {
-                position: arm.command.position,
-                velocity: arm.command.velocity,
-                jaw: arm.command.jaw_position,
-                target: arm.report.target,
-                follows: arm.report.mode.state == OperatingState::Enabled,
-            }),
-        });
+        let commanded = Commanded::after(record, &mut self.given);
+        self.commanded.put(commanded);
     }
 
     /// A tick with what was counted up to now.

@@ -8,8 +8,9 @@ use trocar_tasks::cameras::SceneCameras;
 
 use super::episode::{Episode, EpisodeEnd, StepView, Watcher};
 use super::keep::{Keep, Keeper, Kept};
+use super::policy_choice::PolicyChoice;
 use super::run::next_simulation;
-use super::source::{ChunkSource, PolicyChoice};
+use super::source::ChunkSource;
 use super::summary::{EvalSummary, TrialSummary};
 use super::{Plan, SessionError, outputs, parallel};
 use trocar_log::TickRecord;

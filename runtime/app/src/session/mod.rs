@@ -22,6 +22,7 @@ pub mod parallel;
 pub mod pictures;
 pub mod plan;
 pub mod policies;
+mod policy_choice;
 pub mod preview;
 pub mod realtime;
 pub mod record;
@@ -61,6 +62,6 @@ mod tests;
 
 pub use error::SessionError;
 pub use plan::Plan;
+pub use policy_choice::PolicyChoice;
 pub use robot::Robot;
 pub use setup::Setup;
-pub use source::PolicyChoice;

@@ -10,10 +10,11 @@ use trocar_tasks::simulation::{Rendering, Simulation};
 
 use super::episode::Timing;
 use super::latency::Latency;
+use super::policy_choice::PolicyChoice;
 use super::realtime::{CanOptions, Say, run_on_can, run_realtime};
 use super::robot::warn_of_start;
 use super::run::{RunResult, run_lockstep};
-use super::source::{ChunkSource, PolicyChoice};
+use super::source::ChunkSource;
 use super::teleop::TeleopSummary;
 use super::world_report::WorldName;
 use super::{Robot, SessionError, Setup, pictures};

@@ -114,7 +114,7 @@ fn entries(folder: &Path) -> Vec<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::{Setup, source::PolicyChoice, tasks};
+    use crate::session::{PolicyChoice, Setup, tasks};
 
     #[test]
     fn each_committed_policy_is_the_only_one_of_its_task() {

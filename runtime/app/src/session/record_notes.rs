@@ -8,8 +8,9 @@ use trocar_data::dataset::VideoCodec;
 use trocar_tasks::disturbance::Disturbance;
 use trocar_tasks::task::{Drawn, Lie, Variation};
 
+use super::policy_choice::OPERATOR;
 use super::record::{Attempt, RecordOptions};
-use super::source::{ChunkSource, OPERATOR};
+use super::source::ChunkSource;
 use super::teleop::{OperatorFigures, TeleopSummary};
 use super::{Plan, PolicyChoice, SessionError};
 use crate::study::address::hash_text;

@@ -11,8 +11,9 @@ use trocar_nets::loaded_policy::LoadedPolicy;
 
 use super::changes::{Changes, ConfigFile};
 use super::plan::Arms;
+use super::policy_choice::PolicyChoice;
 use super::run::LIBTORCH_VERSION;
-use super::source::{ChunkSource, PolicyChoice};
+use super::source::ChunkSource;
 use super::{SessionError, Setup};
 use crate::rt;
 use trocar_control::{AnyController, ControlConfig, MeasuredClearance, beyond};

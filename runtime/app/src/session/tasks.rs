@@ -39,8 +39,8 @@ pub fn paths(task: &str) -> Vec<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::session::PolicyChoice;
     use crate::session::Setup;
-    use crate::session::source::PolicyChoice;
 
     #[test]
     fn every_task_has_its_limits_and_they_fit_its_scene() {

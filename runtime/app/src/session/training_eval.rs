@@ -12,9 +12,9 @@ use tch::Device;
 use trocar_data::dataset::Dataset;
 
 use super::eval::{EvalOptions, evaluate};
+use super::policy_choice::PolicyChoice;
 use super::run::write_json;
 use super::score::Score;
-use super::source::PolicyChoice;
 use super::training::TrainingOptions;
 use super::{Plan, SessionError, Setup};
 use crate::rt;

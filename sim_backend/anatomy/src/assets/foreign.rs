@@ -40,8 +40,8 @@ const RAS: [f32; 16] = [
 pub(super) fn parts(file: &[u8]) -> Result<Vec<Part>, String> {
     let [json, numbers] = chunks(file)?;
     let root: Root = gltf_json::deserialize::from_slice(json).map_err(|error| error.to_string())?;
-    let harmless = |name: &&String| !HARMLESS.iter().any(|start| name.starts_with(start));
-    if let Some(name) = root.extensions_required.iter().find(harmless) {
+    let harmful = |name: &&String| !HARMLESS.iter().any(|start| name.starts_with(start));
+    if let Some(name) = root.extensions_required.iter().find(harmful) {
         return Err(format!("it asks for {name}, which is not read"));
     }
     let shown = root.scene.and_then(|scene| root.get(scene));

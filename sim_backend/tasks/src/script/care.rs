@@ -1,4 +1,4 @@
-//! How somebody plays a script who sees late and whose hand goes astray: waits until the tip is there, and looks before going on.
+//! A script as an operator with visual delay and motor noise follows it: each phase waits until the tip is seen at its goal.
 
 use hal::{Pose, TimeNs};
 use trocar_world::rng::Rng;

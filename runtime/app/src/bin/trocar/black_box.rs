@@ -12,8 +12,9 @@ use crate::console;
 /// What it takes at most, bytes: of a robot without cameras some hours, with two of 512 x 512 pixels about the last ten seconds.
 const BYTES_MAX: u64 = 256 << 20;
 
-/// A log that is no longer holds no tick, bytes: of a run that ended before its arms moved.
-const HEADER_BYTES: u64 = 100_000;
+/// A log that is no longer holds a few ticks at most, bytes: of a run that ended before its arms moved. Configuration and schemas are 23 kB
+/// of it, a tick about 1 kB.
+const HEADER_BYTES: u64 = 48_000;
 
 /// The lock of the log that this process keeps.
 static LOCK: OnceLock<File> = OnceLock::new();

@@ -38,8 +38,8 @@ pub(crate) struct FoxgloveArgs {
 /// What a person in a headset sees.
 #[derive(Args, Clone, Copy, Debug)]
 pub(crate) struct HeadsetArgs {
-    /// Two eyes in the headset: beside the endoscope's picture, the left one, that of an eye 5 mm to its right, which is drawn while somebody
-    /// looks through it. Not with cameras that are moved by chance.
+    /// Stereo in the headset: a right eye 5 mm beside the endoscope, which is the left one, rendered while a headset shows it. Not with --vary
+    /// views.
     #[arg(long, requires = "console")]
     pub(crate) stereo: bool,
 }

@@ -49,10 +49,11 @@ pub use on_can::{CanOptions, Say, run_on_can, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
 pub use robot::{RobotOptions, run_rig};
 
+use super::PolicyChoice;
 use super::ended::Ended;
 use super::operator::{Listener, OperatorPort};
 use super::run::RunResult;
-use super::source::{ChunkSource, PolicyChoice};
+use super::source::ChunkSource;
 use super::summary::TissueSummary;
 use super::teleop::{Demonstrating, FromHands, Intervention, Wish};
 use super::{Plan, SessionError, episode};
