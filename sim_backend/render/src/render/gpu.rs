@@ -3,6 +3,7 @@
 use core::future::Future;
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::RenderError;
@@ -17,17 +18,25 @@ pub(super) struct Gpu {
 }
 
 impl Gpu {
-    /// Opens the best Vulkan adapter: a discrete GPU before an integrated one before a software rasteriser.
+    /// Opens the best Vulkan adapter: a discrete GPU before an integrated one before a software rasteriser. Several that are alike take turns,
+    /// so that a machine's GPUs share what its renderers draw.
     pub(super) fn open() -> Result<Self, RenderError> {
         let mut description = wgpu::InstanceDescriptor::new_without_display_handle();
         description.backends = wgpu::Backends::VULKAN;
         // No validation layers: they may be absent, and they print.
         description.flags = wgpu::InstanceFlags::empty();
         let instance = wgpu::Instance::new(description);
-        let adapters = ready(instance.enumerate_adapters(wgpu::Backends::VULKAN))?;
+        let mut adapters = ready(instance.enumerate_adapters(wgpu::Backends::VULKAN))?;
+        adapters.sort_by_key(|adapter| preference(adapter.get_info().device_type));
+        let best = adapters.first().ok_or(RenderError::NoAdapter)?.get_info();
+        adapters.retain(|adapter| {
+            let info = adapter.get_info();
+            (info.device_type, &info.name) == (best.device_type, &best.name)
+        });
+        let turn = turn() % adapters.len().max(1);
         let adapter = adapters
             .into_iter()
-            .min_by_key(|adapter| preference(adapter.get_info().device_type))
+            .nth(turn)
             .ok_or(RenderError::NoAdapter)?;
         let info = adapter.get_info();
         let limits = wgpu::Limits::downlevel_defaults().using_resolution(adapter.limits());
@@ -90,6 +99,13 @@ impl Gpu {
             .map_err(|error| RenderError::Gpu(error.to_string()))?;
         self.check()
     }
+}
+
+/// Which of several GPUs that are alike is this renderer's: processes begin apart, and those of one process follow each other.
+fn turn() -> usize {
+    static RENDERERS: AtomicUsize = AtomicUsize::new(0);
+    let process = usize::try_from(std::process::id()).unwrap_or_default();
+    process.wrapping_add(RENDERERS.fetch_add(1, Ordering::Relaxed))
 }
 
 const fn preference(kind: wgpu::DeviceType) -> u8 {

@@ -95,6 +95,11 @@ impl Hands {
         inner.driver
     }
 
+    /// Whether the episode has not been started yet.
+    pub(super) fn waits(&self) -> bool {
+        self.lock().waits
+    }
+
     /// The hands have driven for so long beside a policy, s; not counted before the episode's start. Whether it was.
     pub(super) fn drove_s(&self, seconds: f64) -> bool {
         let mut inner = self.lock();

@@ -30,6 +30,8 @@ pub(crate) struct Intervention {
     to: Producer<FromHands>,
     /// Who drives, as the control thread was last sent.
     said: Driver,
+    /// Whether that was after the episode's start: before it, the hands hold the arms, which is nobody's driving.
+    begun: bool,
     /// What the episode may still take longer because of the hands, s.
     left_s: f64,
     notices: Vec<String>,
@@ -50,6 +52,7 @@ impl Intervention {
             hands: Arc::clone(hands),
             to,
             said: Driver::Policy,
+            begun: false,
             left_s: (TIME_FACTOR - 1.0) * setup.task.time_limit_s,
             notices: Vec::new(),
         }
@@ -62,6 +65,7 @@ impl Intervention {
     /// Those of [`Teleop::answer`].
     pub(crate) fn answer(&mut self, seen: &PerArm<SeenArm>) -> Result<f64, SessionError> {
         let chunks = self.teleop.answer(seen)?;
+        let begun = !self.hands.waits();
         let moves = self.teleop.moves();
         let driver = self.hands.driver(moves).unwrap_or(Driver::Policy);
         let more_s = match driver {
@@ -82,6 +86,7 @@ impl Intervention {
                 Driver::Policy => "the policy drives".to_owned(),
             });
         }
+        self.begun = begun && (self.begun || self.said == driver);
         Ok(more_s)
     }
 
@@ -95,8 +100,11 @@ impl Intervention {
         more_s
     }
 
-    /// Who drives, and where the arms were last asked to be; none before the first command.
+    /// Who drives, and where the arms were last asked to be; none before the first command since the episode's start.
     pub(crate) fn asked(&self) -> Option<(Driver, PerArm<TipTarget>)> {
+        if !self.begun {
+            return None;
+        }
         Some((self.said, self.teleop.asked()?))
     }
 
