@@ -64,16 +64,16 @@ impl StudyFile {
             let allowed = "single, multi or cameras' names, for a policy that is trained";
             return Err(source.out_of_range(&key("cameras"), "none", allowed));
         }
-        for task in network.task_steps.keys() {
+        for task in network.on.keys() {
             if !self.task.contains_key(task) {
                 let allowed = format!("the study's tasks: {}", joined(self.task.keys()));
-                return Err(source.out_of_range(&key("task_steps"), task, &allowed));
+                return Err(source.out_of_range(&key("on"), task, &allowed));
             }
         }
         let numbers = network
             .steps
             .into_iter()
-            .chain(network.task_steps.values().copied());
+            .chain(network.on.values().filter_map(|on| on.steps));
         if numbers
             .chain(network.batch.map(|batch| batch as u64))
             .any(|number| number == 0)

@@ -66,11 +66,15 @@ struct Expansion<'a> {
 
 impl Expansion<'_> {
     fn check_options(&self) -> Result<(), StudyError> {
-        let networks = self
-            .file
-            .network
-            .iter()
-            .map(|(name, n)| (format!("network.{name}.options"), &n.options));
+        let networks = self.file.network.iter().flat_map(|(name, network)| {
+            let own = network.on.iter().filter_map(move |(task, on)| {
+                Some((
+                    format!("network.{name}.on.{task}.options"),
+                    on.options.as_ref()?,
+                ))
+            });
+            own.chain([(format!("network.{name}.options"), &network.options)])
+        });
         let recordings = self
             .file
             .recording
@@ -133,6 +137,7 @@ impl Expansion<'_> {
         network: &NetworkSection,
         seed: u64,
     ) -> Result<(), StudyError> {
+        let network = &network.in_task(&at.task);
         let demonstrations = at.demonstrations.unwrap_or_default();
         let (recording, cameras) = self.recording(at, network, demonstrations)?;
         let mut files = self.materials.files(&network.options)?;
@@ -147,7 +152,7 @@ impl Expansion<'_> {
             policy: network.policy.as_str(),
             cameras,
             preset: network.preset.clone(),
-            steps: network.task_steps.get(&at.task).copied().or(network.steps),
+            steps: network.steps,
             batch: network.batch,
             augment: network.augment,
             bf16: network.bf16,

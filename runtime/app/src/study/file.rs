@@ -233,9 +233,9 @@ pub struct NetworkSection {
     pub cameras: Option<String>,
     /// Optimiser steps; the preset's if not given.
     pub steps: Option<u64>,
-    /// Optimiser steps of some tasks, by the tasks' names.
+    /// What is otherwise in some tasks, by the tasks' names.
     #[serde(default)]
-    pub task_steps: BTreeMap<String, u64>,
+    pub on: BTreeMap<String, OnTask>,
     /// Samples a step; the preset's if not given.
     pub batch: Option<usize>,
     /// Whether data augmentation is on.
@@ -247,6 +247,32 @@ pub struct NetworkSection {
     /// Further options of `trocar train`.
     #[serde(default)]
     pub options: Vec<String>,
+}
+
+/// How a network is trained otherwise in one task; what is not given is as in the others.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OnTask {
+    /// Sizes and recipe.
+    pub preset: Option<String>,
+    /// Optimiser steps.
+    pub steps: Option<u64>,
+    /// Further options of `trocar train`, in place of those for all tasks.
+    pub options: Option<Vec<String>>,
+}
+
+impl NetworkSection {
+    /// This network as it is trained in `task`.
+    #[must_use]
+    pub fn in_task(&self, task: &str) -> Self {
+        let mut own = self.clone();
+        if let Some(on) = self.on.get(task).cloned() {
+            own.preset = on.preset.or(own.preset);
+            own.steps = on.steps.or(own.steps);
+            own.options = on.options.unwrap_or(own.options);
+        }
+        own
+    }
 }
 
 /// A way of recording demonstrations.

@@ -104,6 +104,9 @@ const fn product_name(kind: Kind) -> &'static str {
     }
 }
 
+/// The folder, below its own, of the checkpoint that an evaluation executes otherwise than it says of itself.
+pub const EXECUTED: &str = "policy";
+
 impl Store {
     /// The folder `root`.
     #[must_use]
@@ -164,9 +167,11 @@ impl Store {
                 read.address
             ));
         }
-        let made = product_name(kind);
-        let is_gone =
-            |file: &&FileRecord| file.path.starts_with(made) && !folder.join(&file.path).exists();
+        let kept_apart = [product_name(kind), EXECUTED];
+        let is_gone = |file: &&FileRecord| {
+            kept_apart.iter().any(|name| file.path.starts_with(name))
+                && !folder.join(&file.path).exists()
+        };
         let here = read.files.iter().filter(|file| !is_gone(file));
         match here.into_iter().find_map(|file| difference(&folder, file)) {
             Some(difference) => State::Damaged(difference),

@@ -11,7 +11,7 @@ use super::axis::Axis;
 use super::file::StudyFile;
 use super::job::{Job, Kind};
 use super::plan::{Plan, Shard};
-use super::store::{Attempts, MANIFEST_FORMAT, Manifest, State, Store};
+use super::store::{Attempts, EXECUTED, MANIFEST_FORMAT, Manifest, State, Store};
 use super::{Materials, StudyError, expand};
 
 const TINY: &str = include_str!("../../../../config/studies/tiny.toml");
@@ -99,6 +99,43 @@ fn the_papers_studies_are_one_grid_that_shares_its_cells() {
         given(&["--vary", "views"]),
     ];
     assert_eq!(options, expected.into());
+}
+
+/// A network can be trained otherwise in one task, and is then another cell there alone.
+#[test]
+fn a_network_is_trained_otherwise_in_one_task() {
+    let trained = |plan: &Plan| {
+        let jobs = plan.cells.iter().filter_map(|cell| match &cell.job {
+            Job::Training(job) => Some((cell.label.clone(), job.clone())),
+            Job::Recording(_) | Job::Evaluation(_) => None,
+        });
+        jobs.collect::<Vec<_>>()
+    };
+    let before = trained(&plan(TINY));
+    let on = "[network.act.on]\nblock-transfer = { steps = 7, options = [\"--lr\", \"3e-4\"] }\n\n[network.";
+    let after = trained(&plan(&TINY.replacen("[network.", on, 1)));
+    assert_eq!(before.len(), after.len());
+    for ((label, before), (_, after)) in before.into_iter().zip(after) {
+        if label.starts_with("block-transfer, act,") {
+            assert_eq!(
+                (after.steps, &after.options[..]),
+                (Some(7), &["--lr".to_owned(), "3e-4".to_owned()][..])
+            );
+            assert_eq!(after.preset, before.preset);
+        } else {
+            assert_eq!(after, before, "{label}");
+        }
+    }
+    let unknown = TINY.replacen(
+        "[network.",
+        "[network.act.on]\nsewing = { steps = 7 }\n\n[network.",
+        1,
+    );
+    let error = plan_with(&unknown, "code").unwrap_err().to_string();
+    assert!(
+        error.contains("network.act.on") && error.contains("sewing"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -418,6 +455,9 @@ fn a_cells_result_outlives_what_it_made() {
     fs::create_dir_all(&kept).unwrap();
     fs::write(kept.join("seed-1.gif"), "strip").unwrap();
     fs::write(kept.join("seed-1.mcap"), "log").unwrap();
+    let executed = store.cell(Kind::Evaluation, &address).join(EXECUTED);
+    fs::create_dir_all(&executed).unwrap();
+    fs::write(executed.join("trocar.json"), "whole chunks").unwrap();
     assert_eq!(done(&store), address);
     fs::remove_file(kept.join("seed-1.mcap")).unwrap();
     let state = || store.state(Kind::Evaluation, &address);
@@ -426,6 +466,7 @@ fn a_cells_result_outlives_what_it_made() {
     fs::write(kept.join("seed-1.gif"), "other").unwrap();
     assert!(damage(&store, &address).contains("seed-1.gif"));
     fs::remove_dir_all(&kept).unwrap();
+    fs::remove_dir_all(&executed).unwrap();
     assert!(matches!(state(), State::Bare(_)));
     fs::remove_file(store.result(Kind::Evaluation, &address)).unwrap();
     assert!(damage(&store, &address).contains("result.json"));

@@ -10,7 +10,7 @@ use super::commands::{Abilities, Arguments, Begin, CommandLine, Places, command_
 use super::file::{ExecutionSection, StudyFile};
 use super::job::{Job, Kind, PolicyInput};
 use super::plan::Cell;
-use super::store::{Attempts, MANIFEST_FORMAT, Manifest, Store};
+use super::store::{Attempts, EXECUTED, MANIFEST_FORMAT, Manifest, Store};
 use super::{StudyError, result};
 use crate::session::outputs;
 
@@ -102,7 +102,7 @@ impl Workshop<'_> {
             Job::Recording(_) => None,
             Job::Training(job) => Some(self.store.product(Kind::Recording, &job.recording)),
             Job::Evaluation(job) if job.execution.changes_checkpoint() => {
-                Some(folder.join("policy"))
+                Some(folder.join(EXECUTED))
             }
             Job::Evaluation(job) => self.checkpoint(&job.policy),
         }
@@ -157,7 +157,7 @@ impl Workshop<'_> {
                 self.checkpoint(&job.policy),
             )
         {
-            let policy = folder.join("policy");
+            let policy = folder.join(EXECUTED);
             remove(&policy)?;
             executed_otherwise(&from, &policy, &job.execution)?;
         }
