@@ -10,6 +10,7 @@ use std::io::Write as _;
 use std::process::{Command, Output, Stdio};
 
 use tests::{Profile, repository, scratch, trocar};
+use trocar_log::RunLog;
 
 fn run(arguments: &[&str]) -> Output {
     trocar(Profile::Debug).args(arguments).output().unwrap()
@@ -91,7 +92,7 @@ fn set_value_acts_like_a_changed_file() {
     let result: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let seconds = result["seconds"].as_f64().unwrap();
     assert!((1.9..2.1).contains(&seconds), "{result}");
-    let log = trocar_log::RunLog::open(&log).unwrap();
+    let log = RunLog::open(&log).unwrap();
     let scene = log.text("scene.toml").unwrap();
     assert!(scene.contains("time_limit_s = 2\n"), "{scene}");
     let safety = log.text("safety.toml").unwrap();
@@ -456,8 +457,9 @@ fn inputs_are_not_overwritten_through_links() {
     assert!(told.contains("a configuration at most 1048576"), "{told}");
 }
 
-/// A run that is signalled `after` each of these pauses, ms; its exit code and its result.
-fn interrupted(run: &[&str], name: &str, after: &[u64]) -> (Option<i32>, serde_json::Value) {
+/// A run that is signalled once its arm is enabled, as its log says, and again after each of these pauses, ms; its exit code and its
+/// result.
+fn interrupted(run: &[&str], name: &str, again: &[u64]) -> (Option<i32>, serde_json::Value) {
     let folder = scratch(name);
     let (log, result) = (folder.join("a.mcap"), folder.join("a.json"));
     let mut command = trocar(Profile::Debug);
@@ -468,17 +470,22 @@ fn interrupted(run: &[&str], name: &str, after: &[u64]) -> (Option<i32>, serde_j
         .arg("--json")
         .arg(&result);
     let mut child = command.stdout(Stdio::null()).spawn().unwrap();
-    for pause in after {
+    let enabled = "psm1: DISABLED to ENABLED";
+    let is_enabled = |log: RunLog| log.events.iter().any(|event| event == enabled);
+    while !RunLog::open(&log).is_ok_and(is_enabled) {
+        assert_eq!(child.try_wait().unwrap(), None, "it ended too early");
+        trocar::rt::sleep_ns(50_000_000);
+    }
+    let id = child.id().to_string();
+    for pause in [&[0], again].concat() {
         trocar::rt::sleep_ns(pause * 1_000_000);
-        let id = child.id().to_string();
         Command::new("kill").args(["-INT", &id]).status().unwrap();
     }
     let code = child.wait().unwrap().code();
-    let log = trocar_log::RunLog::open(&log).unwrap();
+    let log = RunLog::open(&log).unwrap();
     assert!(log.cut().is_none(), "{:?}", log.cut());
     assert_eq!(log.outcome.as_ref().unwrap().reason, "interrupted");
     let events = log.events.join("; ");
-    assert!(events.contains("psm1: DISABLED to ENABLED"), "{events}");
     assert!(events.ends_with("the run ended: interrupted"), "{events}");
     assert!(trocar_log::verify::verify(&log).unwrap().ok);
     (code, tests::json(&result))
@@ -494,13 +501,13 @@ fn a_run_in_lockstep_that_is_interrupted_closes_its_log() {
         "noop",
         "--lockstep",
     ];
-    let (code, result) = interrupted(&run, "command_line_lockstep", &[2500]);
+    let (code, result) = interrupted(&run, "command_line_lockstep", &[]);
     assert_eq!((code, &result["reason"]), (Some(1), &"interrupted".into()));
 }
 
 #[test]
 fn two_signals_at_once_lead_the_arm_to_rest_as_one_does() {
     let run = ["run", "--task", "needle-lift", "--policy", "random"];
-    let (code, result) = interrupted(&run, "command_line_twice", &[3000, 20]);
+    let (code, result) = interrupted(&run, "command_line_twice", &[20]);
     assert_eq!((code, &result["reason"]), (Some(1), &"interrupted".into()));
 }

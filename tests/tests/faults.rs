@@ -59,6 +59,8 @@ impl Run {
             .args(["run", "--task", "needle-lift", "--policy", policy])
             .args(["--seed", "1", "--set", "scene.episode.time_limit_s=300"])
             .args(["--set", &format!("control.policy.restarts={restarts}")])
+            // A network that is started anew must not be done before it is seen to go on.
+            .args(["--set", "scene.success.hold_s=10"])
             .args(["--set", "control.policy.backoff_s=0.2", "--log"])
             .arg(&log)
             .arg("--json")

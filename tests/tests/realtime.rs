@@ -20,9 +20,9 @@ use hal::TimeNs;
 use tests::{Profile, alone, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar::session::operator::{Ask, Command as Operator, ask};
-use trocar_log::RunLog;
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
+use trocar_log::{LoggedArm, RunLog};
 
 const CHECKPOINT: &str = "config/policies/needle-lift/act-compact";
 
@@ -43,11 +43,22 @@ impl Run {
         Self::start_task(test, "needle-lift", policy, seed)
     }
 
+    /// A run whose task is not done before something else ends it: the needle would have to be held up for so long.
+    fn unfinished(test: &str, policy: &str) -> Self {
+        let hold = ["--set", "scene.success.hold_s=10"];
+        Self::start_with(test, "needle-lift", policy, 1, &hold)
+    }
+
     fn start_task(test: &str, task: &str, policy: &str, seed: u64) -> Self {
+        Self::start_with(test, task, policy, seed, &[])
+    }
+
+    fn start_with(test: &str, task: &str, policy: &str, seed: u64, more: &[&str]) -> Self {
         let folder = scratch(test);
         let (log, result) = (folder.join("run.mcap"), folder.join("run.json"));
         let process = trocar(Profile::Debug)
             .args(["run", "--task", task, "--policy", policy])
+            .args(more)
             .args(["--seed", &seed.to_string(), "--log"])
             .arg(&log)
             .arg("--json")
@@ -62,12 +73,11 @@ impl Run {
         }
     }
 
-    /// Waits until the arm has been following the policy for a while.
+    /// Waits until the arm follows the policy.
     fn wait_until_under_way(&mut self) {
-        // The log is opened when everything else is ready; with its frames it grows by more than a megabyte a second.
         until("the run is under way", || {
             assert_eq!(self.process.try_wait().unwrap(), None, "ended too early");
-            fs::metadata(&self.log).is_ok_and(|log| log.len() > 2_000_000)
+            moves(&self.log)
         });
     }
 
@@ -111,6 +121,12 @@ impl Drop for Run {
         let _gone = self.process.kill();
         let _reaped = self.process.wait();
     }
+}
+
+/// Whether the arms have moved, as far as the log of a run that goes on says.
+fn moves(log: &Path) -> bool {
+    let fast = |arm: &LoggedArm| arm.command.velocity.amax() > 0.01;
+    RunLog::open(log).is_ok_and(|log| log.ticks().any(|(tick, _)| tick.arms.iter().all(fast)))
 }
 
 fn send(signal: &str, process: u32) {
@@ -294,7 +310,7 @@ fn dead_or_hung_policy_ends_the_run_at_rest() {
         ("-KILL", "the policy process ended: signal: 9"),
         ("-STOP", "the policy process has sent no heartbeat"),
     ] {
-        let mut run = Run::start("realtime-no-policy", CHECKPOINT, 1);
+        let mut run = Run::unfinished("realtime-no-policy", CHECKPOINT);
         let path = run.log.clone();
         run.wait_until_under_way();
         let processes = run.processes();
@@ -312,7 +328,7 @@ fn dead_or_hung_policy_ends_the_run_at_rest() {
 fn a_signal_is_a_controlled_stop() {
     let _turn = alone();
     for (signal, policy) in [("-INT", "expert"), ("-TERM", CHECKPOINT)] {
-        let mut run = Run::start("realtime-signal", policy, 1);
+        let mut run = Run::unfinished("realtime-signal", policy);
         let path = run.log.clone();
         run.wait_until_under_way();
         let processes = (policy == CHECKPOINT).then(|| run.processes());
@@ -330,7 +346,7 @@ fn a_signal_is_a_controlled_stop() {
 #[test]
 fn killed_parent_ends_the_policy_and_cuts_the_log() {
     let _turn = alone();
-    let mut run = Run::start("realtime-killed", CHECKPOINT, 1);
+    let mut run = Run::unfinished("realtime-killed", CHECKPOINT);
     run.wait_until_under_way();
     let processes = run.processes();
     run.send("-KILL");
@@ -351,7 +367,7 @@ fn policy_ends_with_a_parent_killed_before_the_run() {
     let _turn = alone();
     // Before the policy process can look at anything, and while it loads.
     for joined in [false, true] {
-        let run = Run::start("realtime-killed-early", CHECKPOINT, 1);
+        let run = Run::unfinished("realtime-killed-early", CHECKPOINT);
         let mut policy = None;
         until("the policy process is there", || {
             policy = run.policy_process();

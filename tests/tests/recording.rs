@@ -68,7 +68,8 @@ fn killed_recording_loses_one_episode_at_most() {
     let dataset = Dataset::open(&out).unwrap();
     let episodes = u64::try_from(dataset.episodes().len()).unwrap();
     assert_eq!(episodes, committed(&out));
-    assert!((1..=2).contains(&episodes), "{episodes}");
+    assert!(episodes >= 1);
+    assert!(!has_file(&out, episodes + 1), "one at most was under way");
     // Every frame of what is counted is there.
     for frame in 0..dataset.len() {
         dataset.image_rgb(frame, 0).unwrap();

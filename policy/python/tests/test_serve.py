@@ -557,7 +557,9 @@ def test_arms_are_seen_where_no_camera_can_be_drawn(
     assert trocar.serve(policy, name, query_every=5, sessions=1) == 1
     code, out, err = running.end()
     assert code == 1 and json.loads(out)["policy"]["refused"] == 0, err
-    assert len(policy.asked) >= 5 and all(step % 5 == 0 for step in policy.asked)
+    # A busy machine may make it see a step after the one that was its turn, but no turn twice.
+    turns = [step // 5 for step in policy.asked]
+    assert len(turns) >= 5 and turns == sorted(set(turns))
     looks = session(*real_time)
     trocar.serve(Holds(), name, cameras=["endoscope"], sessions=1)
     code, _, err = looks.end()

@@ -4,7 +4,7 @@ use serde_json::Value;
 use tests::scratch;
 
 use crate::devtools::{Browser, Proxy};
-use crate::run::{Served, made_log};
+use crate::run::{SLOW_MOTION, Served, made_log};
 
 /// Texts whose contrast with what is behind them is below WCAG's AA (4.5, or 3 where they are large), disabled controls apart.
 const LOW_CONTRAST: &str = r"(() => {
@@ -56,6 +56,10 @@ pub(crate) fn looks_right(browser: &mut Browser, name: &str) {
     ] {
         browser.look(width, scheme);
         browser.evaluate("new Promise((done) => setTimeout(done, 400))");
+        // A busy browser has not drawn itself anew by then.
+        browser.evaluate(
+            "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))",
+        );
         let what = format!("{name} at {width} px, {scheme}");
         for (fault, expression) in [
             ("overflow", OVERFLOW),
@@ -244,7 +248,7 @@ fn the_page_opens_beyond_loopback() {
         "0.0.0.0:0",
     ];
     let words = [&words[..], &open].concat();
-    let served = Served::start_at(&scratch("console-browser-tls"), &words, 1);
+    let served = Served::start_at(&scratch("console-browser-tls"), &words, SLOW_MOTION);
     let url = served.url();
     let mut browser = Browser::open("console-browser-tls-profile", &url);
     browser.look(1280, "light");

@@ -32,7 +32,9 @@ impl Tip {
     fn rested(browser: &mut Browser) -> Self {
         let mut before = Self::now(browser);
         loop {
-            sleep_ns(500_000_000);
+            // A page that is busy may not have been told anything new for a while.
+            browser.evaluate("window.looked = told.seconds, true");
+            browser.wait_until("told.seconds > looked + 0.15");
             let now = Self::now(browser);
             if before.way(&now).iter().all(|way| way.abs() < 2e-6)
                 && before.1.angle_to(&now.1) < 1e-4
@@ -174,7 +176,7 @@ fn a_spacemouse_moves_the_tip() {
     // Without its button it moves nothing.
     browser.evaluate("operator.push([0, 1, 0]), new Promise((done) => setTimeout(done, 500))");
     near(start.way(&Tip::rested(&mut browser)), [0.0; 3], 1e-5);
-    browser.evaluate("operator.hold(true), true");
+    browser.evaluate("operator.take(), true");
     let y = start.0[1];
     browser.wait_until(&format!("told.teleop.arms[0].tip[1] > {y} + 0.004"));
     browser.evaluate("operator.push([0, 0, 0]), true");
@@ -185,9 +187,10 @@ fn a_spacemouse_moves_the_tip() {
     browser.wait_until("!told.teleop.arms[0].engaged");
     near(risen.way(&Tip::rested(&mut browser)), [0.0; 3], 5e-4);
 
-    browser.evaluate("operator.hands.combined = true, operator.hold(true), operator.hands.drive([0, 0, 0], [0, 0, 1]), true");
-    browser.wait_until("told.teleop.arms[0].engaged");
-    sleep_ns(600_000_000);
+    browser.evaluate("operator.hands.combined = true, operator.hands.drive([0, 0, 0], [0, 0, 1]), operator.take(), true");
+    while risen.turn(&Tip::now(&mut browser))[2] < 0.12 {
+        sleep_ns(20_000_000);
+    }
     browser.evaluate("operator.hands.drive([0, 0, 0], [0, 0, 0]), true");
     let [x, y, roll] = risen.turn(&Tip::rested(&mut browser));
     assert!(roll > 0.1 && x.hypot(y) < 0.2 * roll, "{x} {y} {roll}");

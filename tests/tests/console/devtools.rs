@@ -104,6 +104,12 @@ impl Browser {
 
     /// Calls a method of the protocol.
     pub(crate) fn call(&mut self, method: &str, parameters: &Value) -> Value {
+        let answer = self.try_call(method, parameters);
+        answer.unwrap_or_else(|error| panic!("{method}: {error}"))
+    }
+
+    /// The same; what the browser says if it can't be.
+    fn try_call(&mut self, method: &str, parameters: &Value) -> Result<Value, String> {
         self.number += 1;
         let mut message = json!({ "id": self.number, "method": method, "params": parameters });
         if !self.session.is_empty() {
@@ -118,8 +124,11 @@ impl Browser {
             };
             let heard: Value = serde_json::from_str(&text).unwrap();
             if heard["id"] == self.number {
-                assert!(heard["error"].is_null(), "{method}: {heard}");
-                return heard["result"].clone();
+                return if heard["error"].is_null() {
+                    Ok(heard["result"].clone())
+                } else {
+                    Err(heard.to_string())
+                };
             }
             self.note(&heard);
         }
@@ -152,6 +161,10 @@ impl Browser {
         let parameters =
             json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
         let result = self.call("Runtime.evaluate", &parameters);
+        Self::value(expression, &result)
+    }
+
+    fn value(expression: &str, result: &Value) -> Value {
         assert!(
             result["exceptionDetails"].is_null(),
             "{expression}: {result}"
@@ -159,12 +172,17 @@ impl Browser {
         result["result"]["value"].clone()
     }
 
-    /// Waits until an expression is true.
+    /// Waits until an expression is true. A page that is being loaded anew has none meanwhile.
     pub(crate) fn wait_until(&mut self, expression: &str) {
         let rounds = PATIENCE.as_millis() / 50;
+        let parameters = json!({ "expression": expression, "returnByValue": true });
         for _ in 0..rounds {
-            if self.evaluate(expression) == true {
-                return;
+            match self.try_call("Runtime.evaluate", &parameters) {
+                Ok(result) if Self::value(expression, &result) == true => return,
+                Err(error) if !error.contains("navigated") && !error.contains("context") => {
+                    panic!("{expression}: {error}");
+                }
+                Ok(_) | Err(_) => {}
             }
             sleep_ns(50_000_000);
         }

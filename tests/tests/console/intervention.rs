@@ -83,8 +83,8 @@ fn hands_take_over_from_a_policy_and_hand_back() {
     let state = operator.repeat(5);
     assert_eq!(driver(&state), "policy");
     operator.engage();
-    let state = operator.say();
-    assert!(driver(&state) == "operator" && engaged(&state), "{state}");
+    let state = operator.until(|state| driver(state) == "operator");
+    assert!(engaged(&state), "{state}");
     let taken = rested(&mut operator.page);
     assert!(
         way(taken, tip(&state)) < 0.004,
@@ -92,7 +92,7 @@ fn hands_take_over_from_a_policy_and_hand_back() {
     );
     operator.engage();
     operator.rise(9);
-    let risen = tip(&operator.repeat(20));
+    let risen = tip(&operator.settle());
     assert!(risen[1] - taken[1] > 0.004, "it follows the hand");
 
     let page = lost_in_mid_motion(operator, &served);
@@ -152,10 +152,13 @@ fn a_gamepad_takes_over_from_a_policy_and_the_dataset_says_so() {
     crate::browser::looks_right(&mut browser, "policy-drives");
     browser.evaluate("document.querySelector('[data-command=resume]').click()");
     browser.wait_until("document.querySelector('.chip').dataset.state === 'ENABLED'");
-    browser.evaluate("operator.hold(true), true");
+    let tip = "told.teleop.arms[0].tip[1]";
+    browser.evaluate("operator.take(), true");
     browser.wait_until(&drives("operator"));
-    browser.evaluate("operator.push([0, 1, 0]), true");
-    browser.evaluate("new Promise((done) => setTimeout(done, 2500))");
+    let taken = browser.evaluate(tip);
+    browser.evaluate("operator.move([0, 1, 0]), true");
+    browser.wait_until(&format!("{tip} > {taken} + 0.005"));
+    browser.evaluate("operator.push([0, 0, 0]), true");
     crate::browser::looks_right(&mut browser, "operator-drives");
     browser.evaluate("operator.rest(), true");
     browser.wait_until("!document.querySelector('#hand-back').disabled");

@@ -145,6 +145,7 @@ fn a_gamepad_lifts_the_needle_and_the_dataset_trains() {
     let mut browser = operated("teleop-gamepad", &served, "gamepad");
     let state = "document.querySelector('#episode-state').textContent";
     browser.wait_until(&format!("{state}.includes('waits for its start')"));
+    browser.wait_until("!document.querySelector('[data-episode=start]').disabled");
     let before = browser.evaluate("told.teleop.arms[0].tip");
     // Before the start the hand moves nothing.
     browser.evaluate("operator.hold(true), operator.push([1, 0, 0]), true");
@@ -259,7 +260,7 @@ fn a_headset_lifts_the_needle() {
     browser.evaluate("document.querySelector('#enter-vr').click()");
     browser.wait_until("document.querySelector('#enter-vr-text').textContent.startsWith('Leave')");
     // A controller that is not tracked lets go, and one that comes back with its squeeze held moves nothing.
-    browser.evaluate("operator.hold(true), true");
+    browser.evaluate("operator.take(), true");
     browser.wait_until("told.teleop.arms[0].engaged");
     browser.evaluate("operator.tracked = false, true");
     browser.wait_until("told.teleop.arms[0].lost?.includes('device disconnected')");
@@ -288,8 +289,6 @@ fn run_to(log: &Path) -> Vec<&str> {
 
 /// Takes the clutch and pushes to the right, until the arm moves.
 fn engage_and_push(browser: &mut Browser) {
-    browser.evaluate("operator.hold(true), true");
-    browser.wait_until("told.teleop.arms[0].engaged");
-    browser.evaluate("operator.push([0, 1, 0]), true");
-    browser.wait_until("told.arms[0].commanded_velocity.some((v) => Math.abs(v) > 0.01)");
+    browser.evaluate("operator.move([0, 1, 0]), true");
+    browser.wait_until("operator.moves");
 }

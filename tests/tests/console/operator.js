@@ -245,6 +245,7 @@ const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 /** Looks where the tip is, moves towards where it should be for as long as that takes, and looks again. */
 window.operator = {
   tracked: true,
+  moves: false,
   done: false,
   get hands() {
     // A mouse is the browser's own.
@@ -252,6 +253,29 @@ window.operator = {
   },
   hold(on) { this.hands.hold(on); },
   push(way) { this.hands.drive(way, [0, 0, 0]); },
+
+  /** Holds the clutch until the arm follows; one that the run let go of, as it does when the hand comes late, is taken anew. */
+  async take() {
+    const arm = () => window.told.teleop.arms[0];
+    while (!arm().engaged) {
+      this.hold(false);
+      while (arm().lost !== null) await sleep(20);
+      this.hold(true);
+      while (!arm().engaged && arm().lost === null) await sleep(20);
+    }
+  },
+
+  /** Takes the clutch and pushes until the arm moves. */
+  async move(way) {
+    this.moves = false;
+    while (!this.moves) {
+      await this.take();
+      this.push(way);
+      await sleep(20);
+      this.moves = window.told.arms[0].commanded_velocity.some((v) => Math.abs(v) > 0.01);
+    }
+  },
+
   rest() {
     this.hands.drive([0, 0, 0], [0, 0, 0]);
     this.hands.hold(false);
@@ -261,8 +285,6 @@ window.operator = {
     this.done = false;
     this.rest();
     await sleep(300);
-    this.hold(true);
-    while (!window.told.teleop.arms[0].engaged) await sleep(20);
     // The trigger meets the jaw on its way.
     for (const { tip, jaw } of way) {
       while (await this.approach(tip));
@@ -273,7 +295,8 @@ window.operator = {
 
   /** One look and the move that it asks for; whether there was one. */
   async approach(goal) {
-    const tip = window.told.teleop.arms[0].tip;
+    await this.take();
+    const { tip } = window.told.teleop.arms[0];
     if (!tip) return true;
     const errors = [
       ...[0, 1, 2].map((axis) => goal[axis] - tip[axis]),
@@ -294,14 +317,19 @@ window.operator = {
   },
 
   async close(jaw) {
-    if (window.device !== "keyboard" && jaw === 0) {
-      // Through the jaw's angle and back: from there it follows.
-      this.hands.jaw(1);
-      await sleep(200);
-    }
-    for (let looks = 0; looks < 60; looks += 1) {
-      this.hands.jaw(jaw);
-      await sleep(50);
+    let far = true;
+    for (let tries = 0; far; tries += 1) {
+      await this.take();
+      if (window.device !== "keyboard" && (jaw === 0 || tries > 0)) {
+        // Through the jaw's angle and back: from there it follows.
+        this.hands.jaw(1 - jaw);
+        await sleep(200);
+      }
+      for (let looks = 0; looks < 60; looks += 1) {
+        this.hands.jaw(jaw);
+        await sleep(50);
+      }
+      far = Math.abs(window.told.teleop.arms[0].jaw - jaw) > 0.1;
     }
     if (window.device === "keyboard") for (const code of ["KeyM", "KeyN"]) this.hands.set(code, false);
   },

@@ -12,6 +12,10 @@ use tests::{Profile, scratch, trocar};
 /// Nothing takes longer than this.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 
+/// How many times slower than the machine's the clocks of a run are that nobody moves by hand: a machine that is busy with tests beside it
+/// may keep it from its cores for so many times 50 ms until it lacks a measurement and ends.
+pub(crate) const SLOW_MOTION: u64 = 4;
+
 /// A process that serves a console. Its folder of operators' sockets is its own; they have short paths.
 pub(crate) struct Served {
     pub(crate) process: Child,
@@ -63,7 +67,7 @@ impl Served {
         let words = words
             .into_iter()
             .chain(["--set", "scene.episode.time_limit_s=300"]);
-        Self::start(test, &words.collect::<Vec<_>>())
+        Self::start_slow(test, &words.collect::<Vec<_>>(), SLOW_MOTION)
     }
 
     /// `trocar WORDS --console` at a free port.

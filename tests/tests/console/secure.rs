@@ -19,7 +19,7 @@ use tests::{Profile, repository, scratch, stderr, trocar};
 use trocar::rt::sleep_ns;
 
 use crate::page::{Page, handshake_by};
-use crate::run::{PATIENCE, Served};
+use crate::run::{PATIENCE, SLOW_MOTION, Served};
 
 type Secured = StreamOwned<ClientConnection, TcpStream>;
 
@@ -37,7 +37,7 @@ const OPEN: [&str; 9] = [
 ];
 
 fn open(test: &str) -> Served {
-    Served::start_at(&scratch(test), &OPEN, 1)
+    Served::start_at(&scratch(test), &OPEN, SLOW_MOTION)
 }
 
 /// The certificate that a console has kept in `folder`, PEM.
@@ -151,12 +151,12 @@ fn a_certificate_is_kept_until_it_lacks_a_name() {
     assert_eq!(mode, 0o600);
     let known = first.fingerprint.clone();
     drop(first);
-    let again = Served::start_at(&folder, &OPEN, 1);
+    let again = Served::start_at(&folder, &OPEN, SLOW_MOTION);
     assert_eq!(again.fingerprint, known);
     drop(again);
     let text = fs::read_to_string(&file).unwrap();
     fs::write(&file, text.replace("\"localhost\"", "\"elsewhere\"")).unwrap();
-    let renewed = Served::start_at(&folder, &OPEN, 1);
+    let renewed = Served::start_at(&folder, &OPEN, SLOW_MOTION);
     assert!(renewed.fingerprint.is_some() && renewed.fingerprint != known);
 }
 
@@ -211,7 +211,7 @@ fn a_certificate_of_ones_own_is_served() {
     let mut words = OPEN.to_vec();
     words[8] = "127.0.0.1:0";
     words.extend(["--console-cert", &cert, "--console-key", &private]);
-    let served = Served::start_at(&folder, &words, 1);
+    let served = Served::start_at(&folder, &words, SLOW_MOTION);
     assert!(served.fingerprint.is_some());
     assert!(!folder.join("trocar").exists(), "none is made beside it");
     let client = trusting(&own);

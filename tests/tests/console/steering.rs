@@ -139,10 +139,10 @@ fn a_page_hears_what_the_run_does() {
     }
 }
 
-/// A page that acknowledges nothing is sent a few messages and no more; what it then gets is of now.
+/// A page that acknowledges nothing is sent a few messages and no more; what it then gets is of now. Of the end it is told all the same.
 #[test]
 fn a_slow_page_sees_the_newest() {
-    let served = Served::run("console-slow", "noop");
+    let mut served = Served::run("console-slow", "noop");
     let mut slow = Page::open(&served);
     let mut watching = Page::open(&served);
     let facts = watching.wait_for("facts", |_| true);
@@ -184,6 +184,15 @@ fn a_slow_page_sees_the_newest() {
     }
     assert!(first_state >= Some(later), "{first_state:?} at {later}");
     assert!(first_picture >= Some(shown), "{first_picture:?} at {shown}");
+
+    while slow.unacknowledged < 8 {
+        slow.hear();
+    }
+    assert!(watching.command("stop").0);
+    let ended = |heard: Heard| matches!(heard, Heard::Text(text) if text["kind"] == "end");
+    assert!(ended(slow.hear()));
+    assert!(matches!(slow.hear(), Heard::Closed(1000)));
+    assert_eq!(served.code(), 1);
 }
 
 #[test]

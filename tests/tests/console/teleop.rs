@@ -79,19 +79,37 @@ impl Operator {
         self.say()
     }
 
-    /// Takes the clutch, and waits for it to hold.
-    pub(crate) fn engage(&mut self) {
-        self.clutch = false;
-        self.repeat(2);
-        self.clutch = true;
+    /// Says where the hand is until what the run does fits; the state then.
+    pub(crate) fn until(&mut self, fits: impl Fn(&Value) -> bool) -> Value {
         let mut state = self.say();
-        for _ in 0..100 {
-            if engaged(&state) {
-                return;
+        for _ in 0..2000 {
+            if fits(&state) {
+                return state;
             }
             state = self.say();
         }
-        panic!("never engaged: {state}");
+        panic!("never: {state}");
+    }
+
+    /// Takes the clutch, and waits for it to hold.
+    pub(crate) fn engage(&mut self) {
+        self.clutch = false;
+        self.until(|state| lost(state).is_empty() && !engaged(state));
+        self.clutch = true;
+        self.until(engaged);
+    }
+
+    /// Holds the hand still until the arm rests; the state then.
+    pub(crate) fn settle(&mut self) -> Value {
+        let mut before = self.say();
+        loop {
+            let from = seconds(&before) + REST_S;
+            let now = self.until(|state| seconds(state) >= from);
+            if way(tip(&before), tip(&now)) < 2e-6 {
+                return now;
+            }
+            before = now;
+        }
     }
 
     /// Moves the hand upwards for some messages; the state after it.
@@ -102,6 +120,13 @@ impl Operator {
         }
         self.say()
     }
+}
+
+/// Time of the run in which an arm that rests does not move, s.
+const REST_S: f64 = 0.075;
+
+fn seconds(state: &Value) -> f64 {
+    state["seconds"].as_f64().unwrap()
 }
 
 pub(crate) fn engaged(state: &Value) -> bool {
@@ -126,14 +151,12 @@ pub(crate) fn way(one: [f64; 3], other: [f64; 3]) -> f64 {
 
 /// Waits until the arm rests; where it is then.
 pub(crate) fn rested(page: &mut Page) -> [f64; 3] {
-    let mut before = tip(&page.wait_for("state", |_| true));
+    let mut before = page.wait_for("state", |_| true);
     loop {
-        let mut now = before;
-        for _ in 0..6 {
-            now = tip(&page.wait_for("state", |_| true));
-        }
-        if way(before, now) < 2e-6 {
-            return now;
+        let from = seconds(&before) + REST_S;
+        let now = page.wait_for("state", |state| seconds(state) >= from);
+        if way(tip(&before), tip(&now)) < 2e-6 {
+            return tip(&now);
         }
         before = now;
     }
@@ -145,7 +168,7 @@ fn follows(operator: &mut Operator) {
     operator.engage();
     assert!(way(tip(&operator.repeat(3)), start) < 1e-4, "no jump");
     operator.rise(9);
-    let risen = tip(&operator.repeat(20));
+    let risen = tip(&operator.settle());
     let (up, aside) = (
         risen[1] - start[1],
         (risen[0] - start[0]).hypot(risen[2] - start[2]),
@@ -159,7 +182,7 @@ fn follows(operator: &mut Operator) {
     // The clutch is let go: the arm holds, wherever the hand goes.
     operator.clutch = false;
     operator.at = [1.0, -1.0, 0.0];
-    operator.repeat(3);
+    operator.until(|state| !engaged(state));
     let held = rested(&mut operator.page);
     assert!(way(held, risen) < 5e-4);
 }
@@ -169,15 +192,14 @@ type Loss = fn(&mut Operator);
 
 /// What may befall a hand in mid-motion, and what the page is told of it.
 const LOSSES: [(&str, Loss); 4] = [
-    ("no hand pose in time", |operator| {
-        for _ in 0..10 {
-            operator.page.wait_for("state", |_| true);
-        }
-    }),
+    ("no hand pose in time", |_| {}),
     ("the page was hidden", |operator| {
         operator.page.say(&json!({ "hands_off": true }))
     }),
-    ("the hand jumped", |operator| operator.at[0] += 0.2),
+    ("the hand jumped", |operator| {
+        operator.at[0] += 0.2;
+        operator.say();
+    }),
     ("an invalid message", |operator| {
         operator
             .page
@@ -193,6 +215,7 @@ fn loses(operator: &mut Operator) {
         operator.engage();
         operator.rise(6);
         lose(operator);
+        operator.page.wait_for("state", |state| !engaged(state));
         let state = operator.rise(4);
         assert!(
             !engaged(&state) && lost(&state).contains(why),
@@ -212,6 +235,8 @@ fn another_page_is_not_heard(operator: &mut Operator, second: &mut Page) {
     operator.engage();
     let message = operator.message();
     second.say(&message);
+    // The hand stays in sight meanwhile.
+    operator.repeat(5);
     let problem = second.wait_for("problem", |_| true);
     assert!(
         problem["text"]
@@ -258,8 +283,9 @@ fn hands_move_the_arm_and_whatever_is_lost_stops_it() {
     assert!(!engaged(&state) && way(tip(&state), rest) < 1e-5, "{state}");
     operator.engage();
     operator.page.say(&json!({ "command": "pause" }));
-    while operator.say()["arms"][0]["state"] != "PAUSED" {}
-    assert!(lost(&operator.say()).contains("not enabled"));
+    operator.until(|state| {
+        state["arms"][0]["state"] == "PAUSED" && lost(state).contains("not enabled")
+    });
     assert!(operator.page.command("stop").0);
     operator.page.wait_for("end", |_| true);
     assert_eq!(served.code(), 1);
@@ -292,14 +318,24 @@ fn each_hand_moves_its_own_arm() {
     let first = of(&step(&mut operator, false, 0.0), 0);
     let second = of(&step(&mut operator, false, 0.0), 1);
     while step(&mut operator, true, 0.0)["teleop"]["arms"][1]["engaged"] != true {}
-    let mut state = Value::Null;
-    for count in 0..40 {
-        // It rises by 30 mm and rests there.
-        state = step(&mut operator, true, 0.0015 * f64::from(count.min(20)));
+    // It rises by 30 mm and rests there.
+    for count in 0..20 {
+        step(&mut operator, true, 0.0015 * f64::from(count));
     }
-    assert_eq!(of(&state, 0), first);
-    let up = of(&state, 1)[1].as_f64().unwrap() - second[1].as_f64().unwrap();
-    assert!((up - 0.012).abs() < 1e-3, "{up}");
+    let up = |state: &Value| of(state, 1)[1].as_f64().unwrap() - second[1].as_f64().unwrap();
+    let mut state = step(&mut operator, true, 0.03);
+    for _ in 0..2000 {
+        assert_eq!(of(&state, 0), first);
+        if (up(&state) - 0.012).abs() < 1e-3 {
+            break;
+        }
+        state = step(&mut operator, true, 0.03);
+    }
+    let from = seconds(&state) + REST_S;
+    while seconds(&state) < from {
+        state = step(&mut operator, true, 0.03);
+    }
+    assert!((up(&state) - 0.012).abs() < 1e-3, "{}", up(&state));
     drop(served);
 }
 
@@ -328,10 +364,8 @@ fn mutated_hands_move_nothing() {
     assert_eq!(served.process.try_wait().unwrap(), None);
     operator.engage();
     operator.rise(9);
-    assert!(
-        way(tip(&operator.repeat(15)), still) > 0.002,
-        "whole ones still do"
-    );
+    // Whole ones still do.
+    operator.until(|state| way(tip(state), still) > 0.002);
     assert!(operator.page.command("stop").0);
     operator.page.wait_for("end", |_| true);
     served.code();

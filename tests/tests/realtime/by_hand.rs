@@ -5,7 +5,7 @@ use std::process::{Child, ChildStderr, Command, Stdio};
 
 use tests::{Profile, alone, json, scratch, trocar};
 
-use super::{CHECKPOINT, checked_log, expect_a_stop, expect_nothing_left, send, until};
+use super::{CHECKPOINT, checked_log, expect_a_stop, expect_nothing_left, moves, send, until};
 
 /// A policy by hand, ended with the test.
 struct ByHand {
@@ -121,9 +121,7 @@ fn by_hand_a_policy_joins_and_rejoins_a_run() {
         .unwrap();
     let mut first = ByHand::start(&name, &[]);
     first.hear("session of process");
-    until("the run is under way", || {
-        std::fs::metadata(&log).is_ok_and(|log| log.len() > 2_000_000)
-    });
+    until("the run is under way", || moves(&log));
     first.process.kill().unwrap();
     first.process.wait().unwrap();
     let mut second = ByHand::start(&name, &["--sessions", "1"]);

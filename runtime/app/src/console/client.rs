@@ -130,12 +130,11 @@ impl Page {
     async fn serve(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
         let mut pings = interval(PING);
         loop {
-            let has_room = self.on_the_way < ON_THE_WAY_MAX;
             tokio::select! {
                 biased;
                 heard = socket.recv() => self.hear(heard, socket).await?,
                 _ = pings.tick() => self.ping(socket).await?,
-                news = self.news(), if has_room => self.tell(news, socket).await?,
+                news = self.news() => self.tell(news, socket).await?,
             }
         }
     }
@@ -253,6 +252,10 @@ impl Page {
 
     /// Waits for something new; the most important first.
     async fn news(&mut self) -> News {
+        if self.on_the_way >= ON_THE_WAY_MAX {
+            // A page that lags behind is told of the end all the same: nobody is here to tell it later.
+            drop(self.over.wait_for(Option::is_some).await);
+        }
         loop {
             if let Some(news) = self.newest() {
                 return news;

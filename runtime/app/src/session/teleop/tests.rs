@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use hal::{ArmState, JointVector, PerArm, SeenArm, TICK_NS, TimeNs, TipTarget};
 use nalgebra::{UnitQuaternion, Vector3};
+use rtrb::RingBuffer;
 use serde_json::json;
 use trocar_control::kinematics::forward;
 
@@ -85,8 +86,8 @@ impl Bench {
         self.target()
     }
 
-    /// Where the tip should be now.
-    fn target(&mut self) -> TipTarget {
+    /// The control thread tells what it commands the arm.
+    fn command(&mut self) {
         self.commanded.put(Commanded {
             at: self.now,
             sequence: 0,
@@ -98,10 +99,21 @@ impl Bench {
                 follows: self.follows,
             }),
         });
-        let state = ArmState::at_rest(self.now, self.joints, self.jaw);
+    }
+
+    fn seen(&self) -> PerArm<SeenArm> {
+        PerArm::one(seen_arm(&ArmState::at_rest(
+            self.now,
+            self.joints,
+            self.jaw,
+        )))
+    }
+
+    /// Where the tip should be now.
+    fn target(&mut self) -> TipTarget {
+        self.command();
         let look = self.hands.look_at(self.now);
-        let seen: PerArm<SeenArm> = PerArm::one(seen_arm(&state));
-        let chunk = self.teleop.answer_at(&seen, &look).unwrap().first;
+        let chunk = self.teleop.answer_at(&self.seen(), &look).unwrap().first;
         assert_eq!(chunk.valid_targets().len(), 2);
         assert!(chunk.step_ns >= TICK_NS);
         chunk.valid_targets()[0]
@@ -453,6 +465,28 @@ fn hands_move_nothing_outside_an_episode() {
     assert!(!near(&bench.hand(hand), &bench.tip()));
     bench.hands.rest();
     assert!(bench.holds());
+}
+
+/// Beside a policy the hands hold the arms until the episode's start, which is nobody's driving: no frame is by hand before the policy's
+/// first, however late the start is heard, by the hands' end or by the control thread.
+#[test]
+fn before_its_start_an_episode_has_no_driver() {
+    let mut bench = Bench::new(false);
+    let (to, mut control_thread) = RingBuffer::new(1);
+    let mut beside = Intervention::new(&bench.setup, &bench.hands, true, to);
+    bench.command();
+    let driver = |beside: &Intervention| beside.asked().map(|(driver, _)| driver);
+    assert_eq!(driver(&beside), None);
+    beside.answer(&bench.seen()).unwrap();
+    assert_eq!(driver(&beside), None, "it waits");
+    bench.hands.start();
+    assert_eq!(driver(&beside), None, "the hands' end has not looked yet");
+    beside.answer(&bench.seen()).unwrap();
+    assert_eq!(driver(&beside), None, "the control thread is late");
+    assert_eq!(control_thread.pop().unwrap().driver, Driver::Operator);
+    beside.answer(&bench.seen()).unwrap();
+    assert_eq!(driver(&beside), Some(Driver::Policy));
+    assert_eq!(control_thread.pop().unwrap().driver, Driver::Policy);
 }
 
 #[test]
