@@ -5,6 +5,7 @@
 
 mod arrange;
 mod attributes;
+mod elements;
 #[cfg(test)]
 mod tests;
 
@@ -13,16 +14,13 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use dicom_dictionary_std::tags;
-use dicom_object::{DefaultDicomObject, OpenFileOptions};
 
 use arrange::arrange;
-use attributes::{Attributes, Slice};
+use attributes::{Attributes, READ, Slice};
+use elements::{Wanted, read};
 
 use crate::ct::Ct;
 use crate::number::single;
-
-/// Most bytes of a slice's file.
-const FILE_MAX: u64 = 1 << 28;
 
 /// Why a series is refused.
 #[derive(Debug, thiserror::Error)]
@@ -72,24 +70,6 @@ fn is_dicom(path: &Path) -> Result<bool, DicomError> {
     }
 }
 
-fn open(path: &Path, options: OpenFileOptions) -> Result<DefaultDicomObject, DicomError> {
-    let size = fs::metadata(path)
-        .map_err(|error| unreadable(path, error))?
-        .len();
-    let wrong = |reason| DicomError::File {
-        path: path.display().to_string(),
-        reason,
-    };
-    if size > FILE_MAX {
-        return Err(wrong(format!(
-            "{size} bytes; a slice has at most {FILE_MAX}"
-        )));
-    }
-    options
-        .open_file(path)
-        .map_err(|error| wrong(format!("no intact DICOM file: {error}")))
-}
-
 /// The slices of `folder`; what is no DICOM file, or an index of some, is passed over.
 fn slices(folder: &Path) -> Result<Vec<Slice>, DicomError> {
     let entries = fs::read_dir(folder).map_err(|error| unreadable(folder, error))?;
@@ -104,8 +84,8 @@ fn slices(folder: &Path) -> Result<Vec<Slice>, DicomError> {
         if index || !path.is_file() || !is_dicom(&path)? {
             continue;
         }
-        let object = open(&path, OpenFileOptions::new().read_until(tags::PIXEL_DATA))?;
-        let (path, object) = (path.as_path(), &object);
+        let object = &read(&path, &Wanted::Attributes(&READ))?;
+        let path = path.as_path();
         slices.push(Attributes { path, object }.slice()?);
     }
     Ok(slices)
@@ -113,7 +93,7 @@ fn slices(folder: &Path) -> Result<Vec<Slice>, DicomError> {
 
 /// The values of a slice, HU.
 fn hounsfield(slice: &Slice, values: &mut Vec<f32>) -> Result<(), DicomError> {
-    let object = open(&slice.path, OpenFileOptions::new())?;
+    let object = read(&slice.path, &Wanted::Pixels)?;
     let wrong = |reason: String| DicomError::File {
         path: slice.path.display().to_string(),
         reason,

@@ -34,7 +34,7 @@ const TABLE_M: f64 = -0.066;
 /// What to draw.
 #[derive(Clone, Debug)]
 pub struct Preview {
-    /// The patient's folder.
+    /// The patient's folder, or a file of another program.
     pub patient: PathBuf,
     /// The groups; all but the skin if there are none.
     pub groups: Vec<String>,

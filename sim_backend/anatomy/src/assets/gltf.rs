@@ -95,7 +95,7 @@ impl Numbers {
 }
 
 /// Takes the next `count` bytes.
-fn take<'a>(from: &mut &'a [u8], count: usize) -> Result<&'a [u8], &'static str> {
+pub(super) fn take<'a>(from: &mut &'a [u8], count: usize) -> Result<&'a [u8], &'static str> {
     let (taken, rest) = from
         .split_at_checked(count)
         .ok_or("it ends in the middle")?;
@@ -113,7 +113,7 @@ fn word(from: &mut &[u8]) -> Result<usize, &'static str> {
 pub(super) fn chunks(file: &[u8]) -> Result<[&[u8]; 2], &'static str> {
     let mut rest = file;
     if take(&mut rest, 4)? != MAGIC || word(&mut rest)? != 2 {
-        return Err("it is no binary glTF 2.0");
+        return Err("it is no binary glTF 2.0 and no OpenUSD text (#usda 1.0)");
     }
     if word(&mut rest)? != file.len() {
         return Err("it has not the length that it says");

@@ -1,4 +1,5 @@
-//! A patient's meshes out of the `.glb` that [`super::glb`] made; those of other programs are [`super::foreign`]'s. Whatever else is in the file's place is refused with the reason.
+//! A patient's meshes out of the `.glb` that [`super::glb`] made; files of other programs are [`super::foreign`]'s. Whatever else is in the
+//! file's place is refused with the reason.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -14,6 +15,9 @@ use super::{FRAME, GLB_FILE};
 
 /// Most bytes of a file.
 const BYTES_MAX: u64 = 256 << 20;
+
+/// How names of files end that may be a patient; those of binary OpenUSD are there for the reason that it is refused with.
+const FILES: [&str; 5] = ["glb", "usda", "usdz", "usd", "usdc"];
 
 /// Most groups of a patient.
 pub(super) const PARTS_MAX: usize = 64;
@@ -156,13 +160,11 @@ struct Content<'a> {
     left: usize,
 }
 
-/// The file of a patient that is called `place`: a folder that `trocar anatomy build` wrote, or a `.glb` of any program.
+/// The file of a patient that is called `place`: a folder that `trocar anatomy build` wrote, or a `.glb`, `.usda` or `.usdz` of any program.
 #[must_use]
 pub fn file_of(place: &Path) -> PathBuf {
-    let is_file = place
-        .extension()
-        .is_some_and(|end| end.eq_ignore_ascii_case("glb"));
-    if is_file {
+    let end = place.extension().unwrap_or_default();
+    if FILES.iter().any(|own| end.eq_ignore_ascii_case(own)) {
         place.to_owned()
     } else {
         place.join(GLB_FILE)
@@ -200,10 +202,13 @@ fn load(path: &Path) -> io::Result<Vec<u8>> {
 
 /// The groups in the bytes of a file, or what is wrong with them.
 pub(super) fn parts(file: &[u8]) -> Result<Vec<Part>, String> {
+    if foreign::is_usd(file) {
+        return foreign::of_usd(file);
+    }
     let [json, numbers] = chunks(file)?;
     let heading: Heading = serde_json::from_slice(json).map_err(|error| error.to_string())?;
     if heading.asset.extras["frame"].as_str() != Some(FRAME) {
-        return foreign::parts(file);
+        return foreign::of_glb(file);
     }
     let document: Document = serde_json::from_slice(json).map_err(|error| error.to_string())?;
     let count = document.meshes.len();

@@ -215,3 +215,34 @@ fn hostile_files_of_others_are_refused() {
     let far = with("\"count\":12", "\"count\":99");
     assert!(far.is_some_and(|reason| reason.contains("accessor")));
 }
+
+/// Our own stage, read as another program's, is our own glTF file.
+#[test]
+fn our_stage_has_the_meshes_of_our_glb() {
+    let groups = Groups::load("vista3d").expect("the table is right");
+    let mesh = tetrahedron();
+    let assets: Vec<Asset<'_>> = groups
+        .groups
+        .iter()
+        .map(|group| Asset { group, mesh: &mesh })
+        .collect();
+    let own = parts(&glb(&assets)).expect("our file");
+    let stage = parts(usda(&assets).as_bytes()).expect("our stage");
+    assert_eq!(own.len(), stage.len());
+    for (own, stage) in own.iter().zip(&stage) {
+        assert_eq!(own.name, stage.name);
+        assert_eq!(own.mesh.indices.len(), stage.mesh.indices.len());
+        for (a, b) in own.mesh.indices.iter().zip(&stage.mesh.indices) {
+            let (a, b) = (
+                own.mesh.positions[*a as usize],
+                stage.mesh.positions[*b as usize],
+            );
+            let apart = (0..3).map(|k| (a[k] - b[k]).abs()).fold(0.0, f32::max);
+            assert!(apart < 1e-8, "{}: {a:?} {b:?}", own.name);
+        }
+        let looks = |part: &Part| [&part.colour[..], &[part.roughness, part.wetness]].concat();
+        for (a, b) in looks(own).iter().zip(looks(stage)) {
+            assert!((a - b).abs() < 1e-6, "{}: {a} {b}", own.name);
+        }
+    }
+}

@@ -3,15 +3,31 @@
 use std::path::{Path, PathBuf};
 
 use dicom_dictionary_std::tags;
-use dicom_object::{DefaultDicomObject, Tag};
+use dicom_object::{InMemDicomObject, Tag};
 use nalgebra::Vector3;
 
 use super::DicomError;
 use crate::nifti::SIDE_MAX;
 use crate::number::real;
 
-/// Transfer syntaxes whose pixels are plain little-endian numbers: implicit and explicit VR.
-const PLAIN: [&str; 2] = ["1.2.840.10008.1.2", "1.2.840.10008.1.2.1"];
+/// The elements that say it.
+pub(super) const READ: [Tag; 15] = [
+    tags::MODALITY,
+    tags::SERIES_INSTANCE_UID,
+    tags::IMAGE_POSITION_PATIENT,
+    tags::IMAGE_ORIENTATION_PATIENT,
+    tags::SAMPLES_PER_PIXEL,
+    tags::NUMBER_OF_FRAMES,
+    tags::ROWS,
+    tags::COLUMNS,
+    tags::PIXEL_SPACING,
+    tags::BITS_ALLOCATED,
+    tags::BITS_STORED,
+    tags::HIGH_BIT,
+    tags::PIXEL_REPRESENTATION,
+    tags::RESCALE_INTERCEPT,
+    tags::RESCALE_SLOPE,
+];
 
 /// What a file says of its slice.
 #[derive(Clone, Debug)]
@@ -35,7 +51,7 @@ pub(super) struct Slice {
 /// The attributes of a file, with the file's name for messages.
 pub(super) struct Attributes<'a> {
     pub(super) path: &'a Path,
-    pub(super) object: &'a DefaultDicomObject,
+    pub(super) object: &'a InMemDicomObject,
 }
 
 impl Attributes<'_> {
@@ -85,16 +101,6 @@ impl Attributes<'_> {
 
     /// What the file says of its slice.
     pub(super) fn slice(&self) -> Result<Slice, DicomError> {
-        let syntax = self
-            .object
-            .meta()
-            .transfer_syntax()
-            .trim_matches(['\0', ' ']);
-        if !PLAIN.contains(&syntax) {
-            return Err(self.wrong(format!(
-                "its transfer syntax is {syntax}: compressed or big-endian pixels are not read; make them plain first, by `gdcmconv --raw` or `dcmdjpeg`"
-            )));
-        }
         let modality = self.text(tags::MODALITY, "Modality")?.unwrap_or_default();
         if modality != "CT" {
             return Err(self.wrong(format!("Modality is {modality:?}, allowed is CT")));

@@ -1,13 +1,17 @@
 //! Series come out as the volume that was put in, and what is no whole series is refused.
 
 use std::fs;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use dicom_core::{DataElement, PrimitiveValue, VR};
 use dicom_dictionary_std::tags;
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject, Tag};
+use hal::random::SplitMix64;
 use nalgebra::{Matrix3, Vector3};
 
+use super::attributes::{Attributes, READ};
+use super::elements::{self, Wanted};
 use super::read_series;
 use crate::ct::Ct;
 use crate::grid::Grid;
@@ -289,4 +293,122 @@ fn missing_slices_compression_and_cut_files_are_refused() {
     fs::create_dir_all(&folder).expect("made");
     assert!(refusal().contains("no DICOM file is in it"));
     fs::remove_dir_all(folder).expect("gone");
+}
+
+/// A slice's file, and where its data begin.
+fn whole(syntax: &str) -> (Vec<u8>, usize) {
+    let folder = scratch(&format!("whole-{}", syntax.len()));
+    let path = folder.join("slice.dcm");
+    save(&slice(&grid(), 2), syntax, &path);
+    let bytes = fs::read(&path).expect("there");
+    fs::remove_dir_all(folder).expect("gone");
+    let length = u32::from_le_bytes(bytes[140..144].try_into().expect("four"));
+    (bytes, 144 + length as usize)
+}
+
+/// What is said of a slice's file.
+fn answer(bytes: &[u8]) -> Result<usize, String> {
+    let size = bytes.len() as u64;
+    let attributes = elements::of(Cursor::new(bytes), size, &Wanted::Attributes(&READ))?;
+    let pixels = elements::of(Cursor::new(bytes), size, &Wanted::Pixels)?;
+    let (path, object) = (Path::new("slice.dcm"), &attributes);
+    let slice = Attributes { path, object }.slice();
+    slice.map_err(|error| error.to_string())?;
+    let pixels = pixels
+        .element(tags::PIXEL_DATA)
+        .map_err(|error| error.to_string())?;
+    let pixels = pixels.to_bytes().map_err(|error| error.to_string())?;
+    Ok(pixels.len())
+}
+
+#[test]
+fn nested_and_overlong_elements_are_refused_before_they_cost_anything() {
+    // A sequence and an item of unknown length, and an element of unknown type that claims 4 GB.
+    let explicit: [&[u8]; 2] = [
+        b"\x08\0\x40\x11SQ\0\0\xff\xff\xff\xff\xfe\xff\0\xe0\xff\xff\xff\xff",
+        b"\x08\0\x01\0UN\0\0\xfe\xff\xff\xff",
+    ];
+    let implicit: [&[u8]; 2] = [
+        b"\x08\0\x40\x11\xff\xff\xff\xff\xfe\xff\0\xe0\xff\xff\xff\xff",
+        b"\x08\0\x01\0\xfe\xff\xff\xff",
+    ];
+    for (syntax, [sequence, long]) in [(PLAIN, explicit), ("1.2.840.10008.1.2", implicit)] {
+        let (bytes, start) = whole(syntax);
+        assert_eq!(answer(&bytes), Ok(40), "{syntax}");
+        let with = |more: &[u8]| {
+            let found = answer(&[&bytes[..start], more, &bytes[start..]].concat());
+            found.expect_err("hostile")
+        };
+        let deep = with(&sequence.repeat(200_000));
+        assert!(deep.contains("nested more than 64 deep"), "{deep}");
+        let claimed = with(long);
+        assert!(
+            claimed.contains("(0008,0001) claims 4294967294 bytes"),
+            "{claimed}"
+        );
+        // Within a sequence, and as what is wanted.
+        let within = with(&[sequence, long].concat());
+        assert!(within.contains("claims 4294967294 bytes"), "{within}");
+        let mut modality = long.to_vec();
+        modality[2] = 0x60;
+        let modality = with(&modality);
+        assert!(modality.contains("(0008,0060) claims"), "{modality}");
+        let open = with(sequence);
+        assert!(open.contains("no intact DICOM file"), "{open}");
+        // An item ends where none has begun, and another begins.
+        let stray = with(b"\xfe\xff\x0d\xe0\0\0\0\0\xfe\xff\0\xe0\0\0\0\0");
+        assert!(stray.contains("that has not begun"), "{stray}");
+    }
+    let (bytes, start) = whole(PLAIN);
+    let changed = |at: usize, new: &[u8]| {
+        let mut bytes = bytes.clone();
+        bytes[at..at + new.len()].copy_from_slice(new);
+        answer(&bytes).expect_err("hostile")
+    };
+    let meta = changed(140, &[0xff; 4]);
+    assert!(meta.contains("meta information has no length"), "{meta}");
+    assert!(changed(140, &[0; 4]).contains("no transfer syntax"));
+    let syntax = bytes.windows(6).position(|part| part == b"\x02\0\x10\0UI");
+    let syntax = changed(syntax.expect("there") + 6, &[0xff; 2]);
+    assert!(
+        syntax.contains("(0002,0010) claims 65535 bytes"),
+        "{syntax}"
+    );
+    let much = [&b"\x08\0\x60\0UT\0\0\0\0\x01\0"[..], &vec![b' '; 65536]].concat();
+    let much = [&bytes[..start], &much, &bytes[start..]].concat();
+    let much = answer(&much).expect_err("long");
+    assert!(
+        much.contains("(0008,0060) has 65536 bytes, allowed are 4096"),
+        "{much}"
+    );
+}
+
+#[test]
+fn whatever_byte_of_a_slice_is_another_one_gets_an_answer() {
+    let mut random = SplitMix64::new(19);
+    let (mut read, mut refused) = (0, 0);
+    for syntax in [PLAIN, "1.2.840.10008.1.2"] {
+        let (bytes, _) = whole(syntax);
+        for end in 0..bytes.len() {
+            assert!(answer(&bytes[..end]).is_err(), "{end} bytes");
+        }
+        for _ in 0..4000 {
+            let mut bytes = bytes.clone();
+            for _ in 0..1 + random.below(4) {
+                let at = 132 + random.below(bytes.len() - 132);
+                bytes[at] = [0, 1, 0x7f, 0xff, 0xfe, 0xe0][random.below(6)];
+            }
+            match answer(&bytes) {
+                Ok(pixels) => {
+                    read += 1;
+                    assert!(pixels < 2 * bytes.len(), "{pixels}");
+                }
+                Err(_) => refused += 1,
+            }
+        }
+    }
+    assert!(
+        read > 500 && refused > 2000,
+        "{read} read, {refused} refused"
+    );
 }

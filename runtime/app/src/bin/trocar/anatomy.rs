@@ -121,8 +121,8 @@ pub(crate) struct BuildArgs {
 /// Options of `anatomy preview`.
 #[derive(Args, Debug)]
 pub(crate) struct PreviewArgs {
-    /// The patient's folder.
-    #[arg(value_name = "DIR")]
+    /// The patient's folder, or a .glb, .usda or .usdz of another program.
+    #[arg(value_name = "DIR|FILE")]
     patient: PathBuf,
     /// The file, .gif for one that turns or .png for pictures side by side; parent folders are made.
     #[arg(long, value_name = "FILE")]

@@ -38,7 +38,7 @@ const FLOOR_M: f64 = -0.060;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SceneFile {
-    /// The folder of the patient, or a `.glb` of another program; a relative path is one from where the program was started.
+    /// The folder of the patient, or a `.glb`, `.usda` or `.usdz` of another program; a relative path is one from where the program was started.
     patient: String,
     /// The tissue group that is the ground.
     organ: String,
