@@ -21,6 +21,10 @@ const PIXELS: usize = (SIDE * SIDE) as usize;
 
 /// One episode of a needle that comes nearer, seen by one camera with depth.
 fn record(folder: &Path) {
+    record_steps(folder, 8);
+}
+
+fn record_steps(folder: &Path, steps: u16) {
     let spec = DatasetSpec {
         fps: 25,
         robot_type: "psm".to_owned(),
@@ -35,7 +39,7 @@ fn record(folder: &Path) {
         intervention: false,
     };
     let mut writer = DatasetWriter::create(folder, &spec).unwrap();
-    for step in 0..8_u16 {
+    for step in 0..steps {
         let units: Vec<u16> = (0..PIXELS).map(|_| 5000 + 40 * step).collect();
         let along = 0.001 * f64::from(step);
         let depth = DepthFrame {
@@ -266,17 +270,26 @@ fn evaluations_that_cannot_be_are_refused_before_the_training() {
     }
 }
 
+/// It learns from two datasets, which must be there as they were.
 #[test]
 fn an_interrupted_training_goes_on_to_the_same_bytes() {
     let folder = scratch("training-interrupted");
     record(&folder.join("data"));
-    let whole = train(&folder, "whole").output().unwrap();
+    record_steps(&folder.join("more"), 5);
+    let train = |out: &str| {
+        let mut command = train(&folder, out);
+        command.arg("--data").arg(folder.join("more"));
+        command
+    };
+    let whole = train("whole").output().unwrap();
     assert!(whole.status.success(), "{}", stderr(&whole));
+    let said = stderr(&whole);
+    assert!(
+        said.contains("more: needle-lift, 1 episodes, 5 frames\n2 episodes, 13 frames; 12 steps"),
+        "{said}"
+    );
 
-    let mut child = train(&folder, "parts")
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut child = train("parts").stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     // The handler is in place before anything is decoded.
     let decoded = lines.find(|line| line.as_ref().unwrap().contains("frames decoded"));
@@ -299,6 +312,17 @@ fn an_interrupted_training_goes_on_to_the_same_bytes() {
             .output()
             .unwrap()
     };
+    fs::rename(folder.join("more"), folder.join("away")).unwrap();
+    record_steps(&folder.join("more"), 6);
+    let other = resume();
+    assert_eq!(other.status.code(), Some(2), "{}", stderr(&other));
+    assert!(
+        stderr(&other).contains("begun with another dataset"),
+        "{}",
+        stderr(&other)
+    );
+    fs::remove_dir_all(folder.join("more")).unwrap();
+    fs::rename(folder.join("away"), folder.join("more")).unwrap();
     let resumed = resume();
     assert!(resumed.status.success(), "{}", stderr(&resumed));
     let bytes = |run: &str, name: &str| fs::read(folder.join(run).join(name)).unwrap();

@@ -38,6 +38,16 @@ pub enum DatasetError {
         /// What it is to be.
         asked: String,
     },
+    /// Datasets that are no parts of one.
+    #[error("{first} and {other} do not go together: {difference}")]
+    Apart {
+        /// The folder of the first dataset.
+        first: PathBuf,
+        /// The folder of the other.
+        other: PathBuf,
+        /// What differs, and what it is in each.
+        difference: String,
+    },
     /// Two recordings at once would spoil each other.
     #[error("{path}: another recording is writing there")]
     Busy {

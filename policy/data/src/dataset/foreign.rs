@@ -15,7 +15,7 @@ use super::{
     png::SIDE_MAX,
     rows::check_episode,
     schema::{EPISODE_INDEX, Feature, IMAGE_PREFIX, Info, VERSION},
-    segments::{VideoCamera, VideoFrames},
+    segments::VideoFrames,
     spec::{camera_spec, mismatch},
     table::Table,
 };
@@ -80,7 +80,7 @@ impl Foreign {
         listed.truncate(info.total_episodes);
         Ok(Self {
             tasks: layout::read_tasks(dir, &info)?,
-            videos: open_videos(features, &video_features, &listed, info.fps)?,
+            videos: VideoFrames::open(features, &video_features, &listed, info.fps)?,
             first_rows: first_rows(&listed),
             features: features.to_vec(),
             info_path,
@@ -238,8 +238,9 @@ impl Foreign {
         camera: usize,
     ) -> Result<RgbImage, DatasetError> {
         let (width, height) = self.camera_size(camera);
-        if self.videos.has(camera) {
-            return self.videos.image(camera, [episode, frame], [width, height]);
+        let place = [episode, frame];
+        if let Some(image) = self.videos.image(camera, place, [width, height])? {
+            return Ok(image);
         }
         let row = self.first_rows[episode] + frame;
         let name = self.features[camera].clone();
@@ -338,27 +339,6 @@ fn first_rows(listed: &[Listed]) -> Vec<usize> {
         *end = end.saturating_add(episode.len);
     }
     first_rows
-}
-
-/// Looks at the videos of the cameras `features`, of which `video_features` are kept so, in the order of the listing.
-fn open_videos(
-    features: &[String],
-    video_features: &[String],
-    listed: &[Listed],
-    fps: u32,
-) -> Result<VideoFrames, DatasetError> {
-    let of_camera = |name: &String| {
-        let place = video_features.iter().position(|other| other == name);
-        let of_episode = |place: usize| {
-            let episodes = listed.iter();
-            episodes.map(|it| (&it.videos[place], it.len)).collect()
-        };
-        VideoCamera {
-            episodes: place.map_or_else(Vec::new, of_episode),
-        }
-    };
-    let cameras: Vec<VideoCamera<'_>> = features.iter().map(of_camera).collect();
-    VideoFrames::open(&cameras, fps)
 }
 
 /// A column that ends before the episode does.

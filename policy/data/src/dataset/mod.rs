@@ -21,7 +21,7 @@
 //! [`DEPTH_UNIT_M`](crate::perception::DEPTH_UNIT_M); `observation.instance.NAME`, 8-bit PNG; and
 //! `observation.camera_pose.NAME`, where the camera was in the scene. Its lens stands in the depth feature's `info`.
 //!
-//! [`DatasetWriter`] records, [`Dataset`] reads. A recording that is cut off loses the episode in progress and nothing
+//! [`DatasetWriter`] records, [`Dataset`] reads, several as one too. A recording that is cut off loses the episode in progress and nothing
 //! else. Every file is replaced by renaming, never written in place. [`DatasetWriter::resume`] goes on with it.
 
 mod check;
@@ -35,6 +35,7 @@ pub(crate) mod foreign;
 mod guard;
 #[cfg(test)]
 mod intervention_tests;
+mod joined;
 mod layout;
 mod listed;
 mod meta;
@@ -61,6 +62,7 @@ mod writer;
 pub use depth::{DepthFrame, RecordedDepth};
 pub use error::DatasetError;
 pub use guard::file_being_read;
+pub use joined::Part;
 pub use notes::Notes;
 pub use png::SIDE_MAX;
 pub use png::{decode_rgb, encode_rgb};

@@ -7,13 +7,14 @@ use image::RgbImage;
 use super::{
     ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, Episode, STATE_WIDTH, TIP_POSE_WIDTH,
     depth::{self, RecordedDepth},
+    joined::Part,
     layout,
     listed::Listed,
     meta,
     png::decode_rgb,
     rows::{FileRows, Place, Rows, check_episode},
     schema::{CAMERA_POSE_PREFIX, INTERVENTION, image_feature},
-    segments::{VideoCamera, VideoFrames},
+    segments::VideoFrames,
     spec::{mismatch, read_spec, video_features},
     table::Table,
 };
@@ -21,14 +22,15 @@ use super::{
 /// A dataset that is open for reading; several threads may share it.
 #[derive(Debug)]
 pub struct Dataset {
-    spec: DatasetSpec,
+    pub(super) spec: DatasetSpec,
     /// The simulator's task, if its recording says so.
     simulated: Option<String>,
+    pub(super) parts: Vec<Part>,
     camera_names: Vec<String>,
-    episodes: Vec<Episode>,
-    rows: Rows,
-    tables: Vec<Table>,
-    videos: VideoFrames,
+    pub(super) episodes: Vec<Episode>,
+    pub(super) rows: Rows,
+    pub(super) tables: Vec<Table>,
+    pub(super) videos: VideoFrames,
 }
 
 impl Dataset {
@@ -87,18 +89,26 @@ impl Dataset {
         // What is listed beyond the total was being written when the recording was cut off.
         listed.truncate(wanted);
         let camera_names = names(&spec.cameras);
+        let features: Vec<String> = camera_names.iter().map(|it| image_feature(it)).collect();
         let noted = info.trocar.as_ref().and_then(|note| note["task"].as_str());
         let simulated = noted.map(str::to_owned);
         let mut dataset = Self {
-            videos: open_videos(&camera_names, &videos, &listed, spec.fps)?,
+            videos: VideoFrames::open(&features, &videos, &listed, spec.fps)?,
             camera_names,
             spec,
             simulated,
+            parts: Vec::new(),
             episodes: Vec::new(),
             rows: Rows::default(),
             tables: Vec::new(),
         };
         dataset.load(&listed)?;
+        dataset.parts.push(Part {
+            dir: dir.to_owned(),
+            task: dataset.task().to_owned(),
+            episodes: dataset.episodes.len(),
+            frames: dataset.len(),
+        });
         Ok(dataset)
     }
 
@@ -121,6 +131,12 @@ impl Dataset {
     #[must_use]
     pub fn task(&self) -> &str {
         self.simulated.as_deref().unwrap_or(&self.spec.task)
+    }
+
+    /// The datasets that it was [joined](Self::open_joined) from, in their order; itself alone if it was not.
+    #[must_use]
+    pub fn parts(&self) -> &[Part] {
+        &self.parts
     }
 
     /// Frames a second.
@@ -195,22 +211,19 @@ impl Dataset {
     /// [`DatasetError::Io`], [`DatasetError::Parquet`] or [`DatasetError::Mismatch`] if the data file is damaged or the
     /// image is of another size; [`DatasetError::Image`] for what is no PNG, [`DatasetError::Video`] for what is no video.
     pub fn image_rgb(&self, frame: usize, camera: usize) -> Result<RgbImage, DatasetError> {
-        if self.videos.has(camera) {
-            let episode = self.episodes.partition_point(|it| it.start <= frame) - 1;
-            let within = frame - self.episodes[episode].start;
-            let size = [
-                self.spec.cameras[camera].width,
-                self.spec.cameras[camera].height,
-            ];
-            return self.videos.image(camera, [episode, within], size);
-        }
-        let png = self.image_png(frame, camera)?;
         let CameraSpec {
             name,
             width,
             height,
             ..
         } = &self.spec.cameras[camera];
+        let episode = self.episodes.partition_point(|it| it.start <= frame) - 1;
+        let within = frame - self.episodes[episode].start;
+        let place = [episode, within];
+        if let Some(image) = self.videos.image(camera, place, [*width, *height])? {
+            return Ok(image);
+        }
+        let png = self.image_png(frame, camera)?;
         let path = self.tables[self.rows.place[frame].table].path();
         let what = format!("{name} of frame {frame}");
         let image = decode_rgb(&png).map_err(|source| DatasetError::Image {
@@ -273,7 +286,7 @@ impl Dataset {
             };
             let table = Table::open(&first.data)?;
             for (camera, name) in self.camera_names.iter().enumerate() {
-                if !self.videos.has(camera) {
+                if !self.videos.has(camera, self.episodes.len()) {
                     table.require(&image_feature(name))?;
                 }
             }
@@ -309,25 +322,4 @@ fn chosen(all: &[CameraSpec], wanted: &[String]) -> Result<Vec<CameraSpec>, Stri
         found.cloned().ok_or_else(|| name.clone())
     };
     wanted.iter().map(find).collect()
-}
-
-/// Looks at the videos of the `listed` episodes; `features` are the cameras' that are kept so, in the order of the listing.
-fn open_videos(
-    camera_names: &[String],
-    features: &[String],
-    listed: &[Listed],
-    fps: u32,
-) -> Result<VideoFrames, DatasetError> {
-    let of_camera = |name: &String| {
-        let feature = image_feature(name);
-        let place = features.iter().position(|other| *other == feature);
-        let episodes = listed.iter();
-        VideoCamera {
-            episodes: place.map_or_else(Vec::new, |place| {
-                episodes.map(|it| (&it.videos[place], it.len)).collect()
-            }),
-        }
-    };
-    let cameras: Vec<VideoCamera<'_>> = camera_names.iter().map(of_camera).collect();
-    VideoFrames::open(&cameras, fps)
 }

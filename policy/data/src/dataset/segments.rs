@@ -10,7 +10,7 @@ use image::RgbImage;
 
 use super::{
     DatasetError,
-    listed::VideoPlace,
+    listed::Listed,
     video::{FrameTimes, failed},
 };
 
@@ -24,8 +24,8 @@ const PIECES_MAX: usize = 32;
 /// The frames of the cameras that are kept as video.
 #[derive(Debug)]
 pub(super) struct VideoFrames {
-    /// By camera, then episode; a camera that is not kept as video has none.
-    cameras: Vec<Vec<Place>>,
+    /// By camera, then episode; none of a camera that is not kept as video.
+    cameras: Vec<Vec<Option<Place>>>,
     files: Vec<VideoFile>,
     recent: Mutex<VecDeque<(Key, Arc<Vec<u8>>)>>,
 }
@@ -47,22 +47,27 @@ struct VideoFile {
 /// Camera, episode, piece.
 type Key = (usize, usize, usize);
 
-/// A camera's part of what [`VideoFrames::open`] is told.
-pub(super) struct VideoCamera<'a> {
-    /// Where each episode begins, and its frames.
-    pub(super) episodes: Vec<(&'a VideoPlace, usize)>,
-}
-
 impl VideoFrames {
-    /// Looks at every file once: each episode's first and last frame must be shown when the dataset, with `fps` frames a
+    /// Of the cameras `features` in the `listed` episodes; `kept` are the features that are kept as video, in the order of the
+    /// listing. Looks at every file once: each episode's first and last frame must be shown when the dataset, with `fps` frames a
     /// second, says so, and there must be as many between them.
-    pub(super) fn open(cameras: &[VideoCamera<'_>], fps: u32) -> Result<Self, DatasetError> {
+    pub(super) fn open(
+        features: &[String],
+        kept: &[String],
+        listed: &[Listed],
+        fps: u32,
+    ) -> Result<Self, DatasetError> {
         let mut files: Vec<VideoFile> = Vec::new();
         let mut numbers: BTreeMap<&Path, usize> = BTreeMap::new();
-        let mut all = Vec::new();
-        for camera in cameras {
+        let mut cameras = Vec::new();
+        for feature in features {
+            let Some(camera) = kept.iter().position(|other| other == feature) else {
+                cameras.push(vec![None; listed.len()]);
+                continue;
+            };
             let mut places = Vec::new();
-            for (place, len) in &camera.episodes {
+            for Listed { videos, len, .. } in listed {
+                let (place, len) = (&videos[camera], *len);
                 let file = match numbers.get(place.path.as_path()) {
                     Some(&file) => file,
                     None => {
@@ -72,34 +77,50 @@ impl VideoFrames {
                         files.len() - 1
                     }
                 };
-                let first = first_frame(&files[file], place.from_s, *len, fps)?;
-                let len = *len;
-                places.push(Place { file, first, len });
+                let first = first_frame(&files[file], place.from_s, len, fps)?;
+                places.push(Some(Place { file, first, len }));
             }
-            all.push(places);
+            cameras.push(places);
         }
         Ok(Self {
-            cameras: all,
+            cameras,
             files,
             recent: Mutex::new(VecDeque::new()),
         })
     }
 
-    /// Is the camera kept as video?
-    pub(super) fn has(&self, camera: usize) -> bool {
-        self.cameras
-            .get(camera)
-            .is_some_and(|places| !places.is_empty())
+    /// Is the camera kept as video in an episode?
+    pub(super) fn has(&self, camera: usize, episode: usize) -> bool {
+        self.place(camera, episode).is_some()
     }
 
-    /// A frame of an episode, of `width` by `height` pixels.
+    fn place(&self, camera: usize, episode: usize) -> Option<Place> {
+        *self.cameras.get(camera)?.get(episode)?
+    }
+
+    /// Appends the episodes of `other`, which has the same cameras.
+    pub(super) fn append(&mut self, other: Self) {
+        let files = self.files.len();
+        let moved = |place: Place| Place {
+            file: files + place.file,
+            ..place
+        };
+        for (mine, theirs) in self.cameras.iter_mut().zip(other.cameras) {
+            mine.extend(theirs.into_iter().map(|place| place.map(moved)));
+        }
+        self.files.extend(other.files);
+    }
+
+    /// A frame of an episode, of `width` by `height` pixels; none if the camera is not kept as video there.
     pub(super) fn image(
         &self,
         camera: usize,
         [episode, frame]: [usize; 2],
         [width, height]: [u32; 2],
-    ) -> Result<RgbImage, DatasetError> {
-        let place = self.cameras[camera][episode];
+    ) -> Result<Option<RgbImage>, DatasetError> {
+        let Some(place) = self.place(camera, episode) else {
+            return Ok(None);
+        };
         let file = &self.files[place.file];
         let frame_bytes = 3 * width as usize * height as usize;
         let piece_frames = (PIECE_BYTES / frame_bytes.max(1)).clamp(1, PIECE_FRAMES_MAX);
@@ -118,7 +139,10 @@ impl VideoFrames {
         let start = within * frame_bytes;
         let image = bytes.get(start..start + frame_bytes);
         let image = image.and_then(|bytes| RgbImage::from_raw(width, height, bytes.to_vec()));
-        image.ok_or_else(|| failed(&file.path, format!("frame {frame} is missing")))
+        image.map_or_else(
+            || Err(failed(&file.path, format!("frame {frame} is missing"))),
+            |image| Ok(Some(image)),
+        )
     }
 
     fn recall(&self, key: Key) -> Option<Arc<Vec<u8>>> {

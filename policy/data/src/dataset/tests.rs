@@ -1,5 +1,6 @@
 //! A dataset that is written, cut off or damaged, and read again.
 
+mod joined;
 mod refused;
 mod two_arms;
 

@@ -130,6 +130,28 @@ fn every_frame_of_a_video_is_the_one_that_was_recorded() {
     }
 }
 
+/// Of datasets that are read as one, some may keep a camera as video and others not.
+#[test]
+fn video_and_png_are_read_as_one_dataset() {
+    let folder = Folder::new("joined");
+    let (png, video) = (folder.0.join("png"), folder.0.join("video"));
+    fs::create_dir_all(&folder.0).unwrap();
+    record(&png, None).finish().unwrap();
+    record(&video, Some(VideoCodec::H264)).finish().unwrap();
+    let total: usize = LENGTHS.iter().sum();
+    let dirs = [video.clone(), png, video];
+    let joined = Dataset::open_joined(&dirs, None, None, false).unwrap();
+    assert_eq!((joined.len(), joined.episodes().len()), (3 * total, 6));
+    for part in 0..3 {
+        for frame in [0, 8, 9, 73, 78] {
+            for camera in 0..2 {
+                let rgb = joined.image_rgb(part * total + frame, camera).unwrap();
+                assert_eq!(spelled(rgb.as_raw()), 2 * frame + camera);
+            }
+        }
+    }
+}
+
 #[test]
 fn an_episode_that_is_given_up_leaves_no_video() {
     let folder = Folder::new("given-up");

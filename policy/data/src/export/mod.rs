@@ -15,7 +15,7 @@
 //! `observation.state.joint_positions`. Depth and instance ids stay behind.
 //!
 //! Splits are ranges of episodes, so episodes without a disturbance come first, then those that recover from one; `val` and `test`
-//! are the first of them, `train` is the rest.
+//! are the first of them, `train` is the rest. Failures come last, and are in no split but `failure`.
 
 mod episode;
 mod names;
@@ -53,6 +53,8 @@ const SIDE_MIN: u32 = 480;
 pub struct ExportOptions {
     /// The dataset's folder.
     pub dataset: PathBuf,
+    /// The folder of a dataset of attempts that failed, which come along as the split `failure`.
+    pub failures: Option<PathBuf>,
     /// The new one's; it must not exist or be empty.
     pub out: PathBuf,
     /// What the demonstrations show in words; what the dataset says if not given.
@@ -91,8 +93,7 @@ pub fn export_open_h(
     options: &ExportOptions,
     done: &mut dyn FnMut(usize, usize),
 ) -> Result<ExportSummary, DatasetError> {
-    let dataset = Dataset::open(&options.dataset)?;
-    let notes = Notes::read(&options.dataset)?;
+    let (dataset, notes) = read(options)?;
     let source = Source::new(options, &dataset, &notes)?;
     new_folder(&options.out)?;
     let mut lines = Lines::default();
@@ -102,6 +103,31 @@ pub fn export_open_h(
         done(index + 1, source.splits.order.len());
     }
     finish(&source, &lines)
+}
+
+/// The dataset with its notes; if there are failures, they follow as its last episodes, and the notes say so.
+fn read(options: &ExportOptions) -> Result<(Dataset, Notes), DatasetError> {
+    let mut notes = Notes::read(&options.dataset)?;
+    let Some(failures) = &options.failures else {
+        return Ok((Dataset::open(&options.dataset)?, notes));
+    };
+    let dirs = [options.dataset.clone(), failures.clone()];
+    let dataset = Dataset::open_joined(&dirs, None, None, false)?;
+    let of_failures = Notes::read(failures)?;
+    let [kept, failed] = dataset.parts() else {
+        return Ok((dataset, notes));
+    };
+    for episode in 0..failed.episodes {
+        let mut note = note_of(&of_failures, episode)
+            .cloned()
+            .unwrap_or_else(|| json!({}));
+        if !splits::is_failure(&note) {
+            note["failure"] = true.into();
+        }
+        note["episode_index"] = json!(kept.episodes + episode);
+        notes.episodes.push(note);
+    }
+    Ok((dataset, notes))
 }
 
 /// What is exported, looked at as a whole.

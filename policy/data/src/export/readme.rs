@@ -1,5 +1,7 @@
 //! `meta/README.md` under the headings that Open-H-Embodiment asks for; what nobody told is left to be filled in, in brackets.
 
+use std::ops::Range;
+
 use super::Source;
 
 /// How the demonstrations came about, in words; what is not known stays to be filled in.
@@ -90,16 +92,11 @@ Domain: surgical robotics. Demonstrated skills:
 
 fn collection(source: &Source<'_>) -> String {
     let provenance = &source.options.provenance;
-    let (perfect, all) = (source.splits.perfect, source.splits.order.len());
-    let recoveries = match perfect < all {
-        false => "none".to_owned(),
-        true if perfect + 1 == all => format!("episode {perfect}: {}", provenance.recoveries),
-        true => format!(
-            "episodes {perfect} to {}: {}",
-            all - 1,
-            provenance.recoveries
-        ),
-    };
+    let splits = &source.splits;
+    let (perfect, succeeded) = (splits.perfect, splits.succeeded);
+    let recoveries = episodes(perfect..succeeded, &provenance.recoveries);
+    let failed = "attempts that do not do the task; in no split but `failure`";
+    let failures = episodes(succeeded..splits.order.len(), failed);
     let dimensions = [
         "Camera position / angle",
         "Lighting conditions",
@@ -120,6 +117,7 @@ fn collection(source: &Source<'_>) -> String {
 - Method: {}
 - Operators: {}
 - Recovery demonstrations: {recoveries}
+- Failures: {failures}
 
 ## Diversity
 
@@ -131,6 +129,15 @@ fn collection(source: &Source<'_>) -> String {
         dimensions.concat(),
         provenance.variation,
     )
+}
+
+/// Which episodes are something, and what.
+fn episodes(range: Range<usize>, what: &str) -> String {
+    match (range.len(), range.start) {
+        (0, _) => "none".to_owned(),
+        (1, first) => format!("episode {first}: {what}"),
+        (_, first) => format!("episodes {first} to {}: {what}", range.end - 1),
+    }
 }
 
 fn equipment(source: &Source<'_>) -> String {

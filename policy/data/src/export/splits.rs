@@ -1,4 +1,4 @@
-//! Which episodes are for what, as ranges: those without a disturbance first, then recoveries.
+//! Which episodes are for what, as ranges: those without a disturbance first, then recoveries, then failures.
 
 use std::collections::BTreeMap;
 
@@ -16,29 +16,45 @@ pub(super) struct Splits {
     pub(super) order: Vec<usize>,
     /// How many of them are without a disturbance.
     pub(super) perfect: usize,
+    /// How many of them succeeded.
+    pub(super) succeeded: usize,
 }
 
 impl Splits {
     pub(super) fn of(episodes: usize, notes: &Notes) -> Self {
-        let recovers = |episode: &usize| note_of(notes, *episode).is_some_and(is_recovery);
-        let (recoveries, mut order): (Vec<usize>, Vec<usize>) = (0..episodes).partition(recovers);
+        let is =
+            |episode: &usize, what: fn(&Value) -> bool| note_of(notes, *episode).is_some_and(what);
+        let (failures, rest): (Vec<usize>, Vec<usize>) =
+            (0..episodes).partition(|episode| is(episode, is_failure));
+        let (recoveries, mut order): (Vec<usize>, Vec<usize>) = rest
+            .into_iter()
+            .partition(|episode| is(episode, is_recovery));
         let perfect = order.len();
         order.extend(recoveries);
-        Self { order, perfect }
+        let succeeded = order.len();
+        order.extend(failures);
+        Self {
+            order,
+            perfect,
+            succeeded,
+        }
     }
 
     /// Ranges `a:b` by name.
     pub(super) fn ranges(&self) -> BTreeMap<String, String> {
-        let (perfect, all) = (self.perfect, self.order.len());
+        let (perfect, succeeded, all) = (self.perfect, self.succeeded, self.order.len());
         let held_out = perfect / HELD_OUT;
         let mut ranges = vec![
             ("val", 0, held_out),
             ("test", held_out, 2 * held_out),
-            ("train", 2 * held_out, all),
+            ("train", 2 * held_out, succeeded),
             ("perfect", 0, perfect),
         ];
-        if perfect < all {
-            ranges.push(("recovery", perfect, all));
+        if perfect < succeeded {
+            ranges.push(("recovery", perfect, succeeded));
+        }
+        if succeeded < all {
+            ranges.push(("failure", succeeded, all));
         }
         let text = ranges.into_iter();
         text.map(|(name, from, to)| (name.to_owned(), format!("{from}:{to}")))
@@ -50,6 +66,11 @@ impl Splits {
 fn is_recovery(note: &Value) -> bool {
     let disturbed = note["disturbances"].as_array();
     disturbed.is_some_and(|them| !them.is_empty()) || note["recovery"] == true
+}
+
+/// Whether an episode is of an attempt that failed: its reason is noted, or it was labelled so where it comes from.
+pub(super) fn is_failure(note: &Value) -> bool {
+    note["failure"].is_string() || note["failure"] == true
 }
 
 #[cfg(test)]
@@ -84,6 +105,34 @@ mod tests {
         assert_eq!(splits.ranges(), expected.into());
     }
 
+    /// A failure is one though it was disturbed.
+    #[test]
+    fn failures_come_last_and_nobody_trains_on_them() {
+        let note = |episode: usize| match episode {
+            0 => {
+                json!({"episode_index": 0, "failure": "dropped", "disturbances": [{"kind": "slip"}]})
+            }
+            1 => json!({"episode_index": 1, "failure": true}),
+            2 => json!({"episode_index": 2, "disturbances": [{"kind": "slip"}]}),
+            _ => json!({"episode_index": episode, "failure": false}),
+        };
+        let notes = Notes {
+            episodes: (0..5).map(note).collect(),
+            ..Notes::default()
+        };
+        let splits = Splits::of(5, &notes);
+        assert_eq!(splits.order, [3, 4, 2, 0, 1]);
+        let ranges = splits.ranges();
+        for (name, range) in [
+            ("train", "0:3"),
+            ("perfect", "0:2"),
+            ("recovery", "2:3"),
+            ("failure", "3:5"),
+        ] {
+            assert_eq!(ranges[name], range, "{name}");
+        }
+    }
+
     #[test]
     fn without_notes_all_are_perfect_and_none_is_a_recovery() {
         let ranges = Splits::of(3, &Notes::default()).ranges();
@@ -91,6 +140,9 @@ mod tests {
             (ranges["perfect"].as_str(), ranges["train"].as_str()),
             ("0:3", "0:3")
         );
-        assert_eq!(ranges.get("recovery"), None);
+        assert_eq!(
+            (ranges.get("recovery"), ranges.get("failure")),
+            (None, None)
+        );
     }
 }

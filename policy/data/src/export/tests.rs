@@ -28,6 +28,7 @@ impl Folder {
     fn options(&self) -> ExportOptions {
         ExportOptions {
             dataset: self.0.join("ours"),
+            failures: None,
             out: self.0.join("theirs"),
             instruction: None,
             tools: vec!["Large Needle Driver".to_owned()],
@@ -155,6 +156,56 @@ fn two_arms_have_the_fields_names_order_and_units() {
         readme.contains("synchron") && readme.contains("CC BY 4.0"),
         "{readme}"
     );
+}
+
+/// They come last whatever is noted of them, in no split but `failure`, and the page says which they are.
+#[test]
+fn failures_are_a_split_of_their_own() {
+    let folder = Folder::new("failures");
+    let spec = spec(1, &["wrist"]);
+    let (plain, why) = (
+        json!({"failure": false}),
+        json!({"failure": "time ran out"}),
+    );
+    let slip = json!({"disturbances": [{"kind": "slip"}]});
+    record(&folder.0.join("ours"), &spec, &[3, 2], &[slip, plain]);
+    record(
+        &folder.0.join("failed"),
+        &spec,
+        &[4, 1],
+        &[why, Value::Null],
+    );
+    let options = ExportOptions {
+        failures: Some(folder.0.join("failed")),
+        ..folder.options()
+    };
+    let summary = export_open_h(&options, &mut |_, _| {}).unwrap();
+    assert_eq!((summary.episodes, summary.frames), (4, 10));
+    let info: Value = serde_json::from_str(&folder.text("meta/info.json")).unwrap();
+    let splits = json!({
+        "val": "0:0", "test": "0:0", "train": "0:2", "perfect": "0:1", "recovery": "1:2", "failure": "2:4",
+    });
+    assert_eq!(info["splits"], splits);
+    let lens: Vec<Value> = folder.lines("meta/episodes.jsonl");
+    let lens: Vec<&Value> = lens.iter().map(|line| &line["length"]).collect();
+    assert_eq!(lens, [2, 3, 4, 1]);
+    let readme = folder.text("meta/README.md");
+    assert!(readme.contains("Failures: episodes 2 to 3: "), "{readme}");
+
+    let other = Folder::new("failures-apart");
+    let wider = DatasetSpec { fps: 50, ..spec };
+    record(&other.0.join("failed"), &wider, &[1], &[Value::Null]);
+    let options = ExportOptions {
+        failures: Some(other.0.join("failed")),
+        out: other.0.join("theirs"),
+        ..folder.options()
+    };
+    let told = export_open_h(&options, &mut |_, _| {}).unwrap_err();
+    assert!(
+        told.to_string().contains("fps is 25 in the first"),
+        "{told}"
+    );
+    assert!(!options.out.exists());
 }
 
 #[test]

@@ -35,8 +35,8 @@ pub use dp3::{DP3_TYPE, Dp3Checkpoint, load_dp3, save_dp3};
 pub use error::{Cause, CheckpointError};
 pub use processors::FeatureStatistics;
 pub use recipe::{
-    AggregationName, DatasetSummary, PolicyPreset, RECIPE_FORMAT, Recipe, RecommendedAggregation,
-    RecordedCamera, Variants,
+    AggregationName, DatasetPart, DatasetSummary, PolicyPreset, RECIPE_FORMAT, Recipe,
+    RecommendedAggregation, RecordedCamera, Variants,
 };
 pub use segmenter::{load_segmenter, save_segmenter};
 pub use tensors::Precision;

@@ -98,6 +98,23 @@ pub struct DatasetSummary {
     pub frames: usize,
     /// Frames a second.
     pub fps: u32,
+    /// The datasets, if there were several.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<DatasetPart>,
+}
+
+/// One of the datasets that a policy was trained on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DatasetPart {
+    /// Its folder.
+    pub folder: String,
+    /// Its task in words.
+    pub task: String,
+    /// Its episodes that were trained on.
+    pub episodes: usize,
+    /// Frames in them.
+    pub frames: usize,
 }
 
 /// How overlapping chunks become one target, by the names of the controller's configuration.

@@ -4,10 +4,7 @@ use std::path::PathBuf;
 
 use hal::{CameraFrame, SeenArm, TipTarget};
 use serde::Serialize;
-use trocar_data::dataset::{
-    ArmFrame, CameraSpec, DatasetError, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord,
-    Totals, VideoCodec,
-};
+use trocar_data::dataset::{ArmFrame, CameraSpec, DatasetError, DatasetSpec, Totals, VideoCodec};
 use trocar_data::perception::depth_units;
 use trocar_log::TickRecord;
 use trocar_nets::act_policy::state_numbers;
@@ -16,11 +13,10 @@ use trocar_tasks::disturbance::Disturber;
 use trocar_tasks::task::{Lie, Outcome, Variation};
 
 use super::episode::{Episode, StepView, Watcher};
-use super::record_notes::{
-    DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, by_hand_note, value,
-};
+use super::record_failures::{self, Datasets};
+use super::record_notes::{DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, by_hand_note};
 use super::record_page::{EpisodePage, RecordPage};
-use super::record_resume::{Found, begin, look};
+use super::record_resume::{Found, look};
 use super::run::next_simulation;
 use super::source::STEP_NS;
 use super::{Plan, PolicyChoice, SessionError, Setup, parallel};
@@ -46,6 +42,8 @@ pub struct RecordOptions {
     pub disturb: Option<f64>,
     /// What the demonstrations do in words, as the dataset's `task`; the task's name if not given.
     pub instruction: Option<String>,
+    /// Keep attempts that failed too, as a dataset of their own in this directory, a new or an empty one; of a recording from its start.
+    pub failures: Option<PathBuf>,
 }
 
 /// What became of one attempt.
@@ -95,6 +93,9 @@ pub struct RecordSummary {
     pub episodes_before: usize,
     /// Policy steps in all of them.
     pub steps: usize,
+    /// How many attempts that failed are in the dataset of their own, if there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub failures: Option<usize>,
     /// Whether a signal ended the recording before there were as many as asked for.
     pub interrupted: bool,
     /// Every attempt that was made now, in the order of its seed's index.
@@ -117,6 +118,7 @@ impl RecordSummary {
             episodes: found.totals.episodes,
             episodes_before: found.totals.episodes,
             steps: found.totals.frames,
+            failures: None,
             interrupted: false,
             attempts: Vec::new(),
         }
@@ -140,7 +142,7 @@ pub(super) struct Begun {
     /// How many attempts there were before.
     pub(super) attempts: u64,
     /// None if all episodes were there before: nothing is touched then.
-    pub(super) writer: Option<DatasetWriter>,
+    pub(super) datasets: Option<Datasets>,
 }
 
 impl Begun {
@@ -149,27 +151,28 @@ impl Begun {
     /// # Errors
     /// Those of [`record`] that concern the dataset's folder.
     pub(super) fn new(plan: &Plan, options: &RecordOptions) -> Result<Self, SessionError> {
+        record_failures::check(options)?;
         let found = look(plan, options)?;
         let summary = RecordSummary::new(plan, options, &found);
         let whole = options.resume && summary.episodes >= options.episodes;
-        let writer = if whole {
+        let datasets = if whole {
             None
         } else {
             let spec = DatasetSpec {
                 intervention: plan.demonstrates && plan.policy != PolicyChoice::Teleop,
                 ..dataset_spec(&plan.setup, options)
             };
-            Some(begin(plan, options, &found, &spec)?)
+            Some(Datasets::begin(plan, options, &found, &spec)?)
         };
         Ok(Self {
             summary,
             attempts: found.attempts,
-            writer,
+            datasets,
         })
     }
 }
 
-/// Records the episodes of `plan`, whose policy is the expert, until enough attempts have succeeded; failed ones are reported and not kept. Once `stop` says so, those in progress are
+/// Records the episodes of `plan`, whose policy is the expert, until enough attempts have succeeded; failed ones are reported, and kept apart if that is wanted. Once `stop` says so, those in progress are
 /// abandoned, and the dataset has what was done.
 ///
 /// A recording that goes on comes to the same episodes as one without a break: it begins behind the seed of the last one that is
@@ -188,9 +191,9 @@ pub fn record(
     let Begun {
         mut summary,
         mut attempts,
-        writer,
+        datasets,
     } = Begun::new(plan, options)?;
-    let Some(mut writer) = writer else {
+    let Some(mut datasets) = datasets else {
         return Ok(summary);
     };
     let page = plan.console.as_ref();
@@ -218,7 +221,7 @@ pub fn record(
             &mut |index, demo: Option<Demonstration>| {
                 // Behind an abandoned attempt nothing counts: seeds have no gaps.
                 if let Some(demo) = demo.filter(|_| index == done) {
-                    keep(&mut writer, options, &demo)?;
+                    datasets.keep(options, &demo)?;
                     let attempt = demo.attempt();
                     on_attempt(&attempt);
                     if let Some(page) = &page {
@@ -233,26 +236,12 @@ pub fn record(
         summary.interrupted = done < wanted;
         attempts = attempts.saturating_add(done as u64);
     }
-    writer.finish()?;
+    summary.failures = datasets.finish()?;
     Ok(summary)
 }
 
-/// Writes a demonstration that succeeded.
-pub(super) fn keep(
-    writer: &mut DatasetWriter,
-    options: &RecordOptions,
-    demo: &Demonstration,
-) -> Result<(), SessionError> {
-    if !demo.succeeded() {
-        return Ok(());
-    }
-    let note = value(options, &demo.note)?;
-    let written = push_frames(writer, demo).and_then(|()| writer.end_episode_with(note));
-    written.map_err(|error| unwritten(options, error))
-}
-
 /// The error that a file could not be written, such as on a full disk; others as they are.
-fn unwritten(options: &RecordOptions, error: DatasetError) -> SessionError {
+pub(super) fn unwritten(options: &RecordOptions, error: DatasetError) -> SessionError {
     let there = Totals::read(&options.out).map_or(0, |there| there.episodes);
     let reason = if let DatasetError::Io { path, source } = &error {
         format!("{}: {source}", path.display())
@@ -314,14 +303,14 @@ const fn robot_type(arms: usize) -> &'static str {
 pub(super) struct Demonstration {
     pub(super) outcome: Outcome,
     pub(super) reason: String,
-    /// Policy steps; frames are there of what is kept.
+    /// Policy steps; frames are there of what is kept, failures among it if those are.
     pub(super) steps: usize,
     pub(super) frames: Vec<StoredFrame>,
     pub(super) note: EpisodeNote,
 }
 
 impl Demonstration {
-    const fn succeeded(&self) -> bool {
+    pub(super) const fn succeeded(&self) -> bool {
         matches!(self.outcome, Outcome::Success)
     }
 
@@ -338,12 +327,12 @@ impl Demonstration {
 }
 
 pub(super) struct StoredFrame {
-    arms: Vec<ArmFrame>,
-    images: Vec<Vec<u8>>,
+    pub(super) arms: Vec<ArmFrame>,
+    pub(super) images: Vec<Vec<u8>>,
     /// Of every camera, or none.
-    depth: Vec<StoredDepth>,
+    pub(super) depth: Vec<StoredDepth>,
     /// Whether an operator drove.
-    by_hand: bool,
+    pub(super) by_hand: bool,
 }
 
 impl StoredFrame {
@@ -365,10 +354,10 @@ impl StoredFrame {
     }
 }
 
-struct StoredDepth {
-    units: Vec<u16>,
-    instance: Vec<u8>,
-    camera_in_scene: [f64; 7],
+pub(super) struct StoredDepth {
+    pub(super) units: Vec<u16>,
+    pub(super) instance: Vec<u8>,
+    pub(super) camera_in_scene: [f64; 7],
 }
 
 impl StoredDepth {
@@ -380,28 +369,6 @@ impl StoredDepth {
             camera_in_scene: TipTarget::new(&frame.camera_in_scene, 0.0).pose_numbers(),
         }
     }
-}
-
-fn push_frames(writer: &mut DatasetWriter, demo: &Demonstration) -> Result<(), DatasetError> {
-    for frame in &demo.frames {
-        let images: Vec<&[u8]> = frame.images.iter().map(Vec::as_slice).collect();
-        let depth: Vec<DepthFrame<'_>> = frame
-            .depth
-            .iter()
-            .map(|depth| DepthFrame {
-                units: &depth.units,
-                instance: &depth.instance,
-                camera_in_scene: depth.camera_in_scene,
-            })
-            .collect();
-        let record = FrameRecord {
-            arms: &frame.arms,
-            images: &images,
-            depth: &depth,
-        };
-        writer.push_frame_of(&record, frame.by_hand)?;
-    }
-    Ok(())
 }
 
 /// The job of one thread: the demonstration of `first + index`, shown on `page` if no other is; none if it was abandoned because `stop` said

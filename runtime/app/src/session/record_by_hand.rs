@@ -10,7 +10,7 @@ use trocar_tasks::task::Outcome;
 
 use super::realtime::run_realtime;
 use super::record::{
-    Attempt, Begun, Demonstration, RecordOptions, RecordSummary, StoredFrame, arm_frame, keep,
+    Attempt, Begun, Demonstration, RecordOptions, RecordSummary, StoredFrame, arm_frame,
 };
 use super::record_notes::{ByHandNote, EpisodeNote, source};
 use super::run::{INTERRUPTED, RunResult, STOPPED};
@@ -38,9 +38,9 @@ pub fn record_by_hand(
     let Begun {
         mut summary,
         mut attempts,
-        writer,
+        datasets,
     } = Begun::new(plan, options)?;
-    let Some(mut writer) = writer else {
+    let Some(mut datasets) = datasets else {
         return Ok(summary);
     };
     let mut studio = Studio::new(&plan.setup)?;
@@ -68,7 +68,10 @@ pub fn record_by_hand(
         let demonstrated = result.demonstration.take().unwrap_or_default();
         let again = demonstrated.ended == Some(Wish::Redo);
         let demo = studio.draw(&one, options, &result, demonstrated)?;
-        keep(&mut writer, options, &demo)?;
+        // What is done again was no attempt that counts.
+        if !again {
+            datasets.keep(options, &demo)?;
+        }
         let attempt = demo.attempt();
         on_attempt(&attempt);
         summary.add(attempt);
@@ -77,7 +80,7 @@ pub fn record_by_hand(
         summary.interrupted = rt::interrupted();
     }
     tell_end(console, &summary, options);
-    writer.finish()?;
+    summary.failures = datasets.finish()?;
     Ok(summary)
 }
 
@@ -111,7 +114,7 @@ impl Studio {
         })
     }
 
-    /// The demonstration of the run of `plan` that ended with `result`, with its pictures if it is kept.
+    /// The demonstration of the run of `plan` that ended with `result`, with its pictures if it may be kept.
     fn draw(
         &mut self,
         plan: &Plan,
@@ -123,7 +126,7 @@ impl Studio {
         let task = &plan.setup.task;
         self.cameras.begin_episode(task, plan.seed);
         let steps = demonstrated.moments.len();
-        let frames = if result.ok {
+        let frames = if result.ok || options.failures.is_some() {
             let moments = demonstrated.moments.iter();
             let frames = moments.map(|moment| self.frame(moment, options.depth));
             frames.collect::<Result<Vec<_>, SessionError>>()?

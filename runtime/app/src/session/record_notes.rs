@@ -50,7 +50,7 @@ struct OptionsNote<'a> {
     files: BTreeMap<String, String>,
 }
 
-/// How a recording was made, if it was disturbed or varied.
+/// How a recording was made, if it was disturbed or varied, or is of failures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct RecordingNote<'a> {
     trocar: &'static str,
@@ -62,6 +62,9 @@ struct RecordingNote<'a> {
     needle: Option<&'a str>,
     seed: u64,
     varied: &'a [Variation],
+    /// Whether these are the attempts that failed.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    failures: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     disturb: Option<DisturbNote>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -173,12 +176,20 @@ pub(super) fn recording_note(
     plan: &Plan,
     options: &RecordOptions,
 ) -> Result<Option<Value>, SessionError> {
-    let setup = &plan.setup;
-    let source = source(plan);
     let plain = options.disturb.is_none() && options.instruction.is_none();
-    if plain && source.is_none() && setup.task.varied.is_empty() {
+    if plain && source(plan).is_none() && plan.setup.task.varied.is_empty() {
         return Ok(None);
     }
+    described(plan, options, false).map(Some)
+}
+
+/// What is said of the dataset of the attempts that failed.
+pub(super) fn failures_note(plan: &Plan, options: &RecordOptions) -> Result<Value, SessionError> {
+    described(plan, options, true)
+}
+
+fn described(plan: &Plan, options: &RecordOptions, failures: bool) -> Result<Value, SessionError> {
+    let setup = &plan.setup;
     let note = RecordingNote {
         trocar: env!("CARGO_PKG_VERSION"),
         task: &setup.task_name,
@@ -187,7 +198,8 @@ pub(super) fn recording_note(
         needle: setup.needle(),
         seed: plan.seed,
         varied: &setup.task.varied,
-        source,
+        failures,
+        source: source(plan),
         operator: operator(plan),
         policy: policy(plan),
         policy_sha256: plan.policy.weights_sha256()?,
@@ -196,7 +208,7 @@ pub(super) fn recording_note(
             time_limit_s: setup.task.time_limit_s * f64::from(DISTURBED_TIME_FACTOR),
         }),
     };
-    value(options, &note).map(Some)
+    value(options, &note)
 }
 
 /// The options of a recording, of whatever kind it is.

@@ -24,6 +24,8 @@ use trocar_log::{Pressure, Recorder, RunHeader, RunLog, RunOutcome, TickRecord};
 mod backbone;
 mod clouds;
 mod disturbed;
+mod failures;
+mod joined;
 mod latency;
 mod operator;
 mod resumed;
@@ -234,6 +236,7 @@ fn record_one(plan: Plan, out: &Path) -> Dataset {
         video: None,
         disturb: None,
         instruction: None,
+        failures: None,
     };
     let plan = Plan { seed: 3, ..plan };
     let summary = record(&plan, &options, &|| false, &mut |_| {}).unwrap();
@@ -264,7 +267,7 @@ fn check_demonstration(dataset: &Dataset) {
 fn training_options(data: PathBuf, out: PathBuf) -> TrainingOptions {
     TrainingOptions {
         network: NetworkChoice::Act,
-        data,
+        data: vec![data],
         out,
         cameras: CameraChoice::Multi,
         preset: "small".to_owned(),

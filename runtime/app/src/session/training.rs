@@ -17,7 +17,7 @@ use super::training_save::Saver;
 use super::training_watch::{
     STATE_FILE, Stopwatch, Watcher, read_state, remove_state, write_curve,
 };
-use super::{SessionError, outputs, training_backbone, training_clouds};
+use super::{SessionError, outputs, training_backbone, training_clouds, training_data};
 use crate::rt;
 
 /// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the small preset, so that a fresh
@@ -144,7 +144,7 @@ fn train_from(
     on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
     rt::catch_interrupts().map_err(SessionError::signals)?;
-    let dataset = open(options)?;
+    let dataset = training_data::open(options)?;
     let result = match options.network {
         NetworkChoice::Act => train_act(options, &dataset, &start, on_news),
         NetworkChoice::ActPc => training_clouds::train_act_pc(options, &dataset, &start, on_news),
@@ -198,11 +198,13 @@ pub(super) fn conduct(
 ) -> Result<TrainingResult, SessionError> {
     let (dataset, steps) = (saver.dataset, saver.train_options.steps);
     let evaluations = Evaluations::new(saver.options, dataset, start.evaluations.clone())?;
-    on_news(&TrainingNews::Note(&format!(
-        "{} episodes, {} frames; {steps} steps",
-        dataset.episodes().len(),
-        dataset.len(),
-    )));
+    let mut learned_from = training_data::described(dataset);
+    if let Some(whole) = learned_from.last_mut() {
+        *whole += &format!("; {steps} steps");
+    }
+    for line in &learned_from {
+        on_news(&TrainingNews::Note(line));
+    }
     let mut watcher = Watcher::new(saver, evaluations, on_news);
     let trained = run(&mut watcher)?;
     let out = &saver.options.out;
@@ -227,17 +229,6 @@ pub(super) fn cameras(dataset: &Dataset) -> Vec<String> {
     names
         .map(|name| format!("observation.images.{name}"))
         .collect()
-}
-
-/// The dataset, as the network sees it.
-fn open(options: &TrainingOptions) -> Result<Dataset, SessionError> {
-    let (data, choice) = (&options.data, &options.cameras);
-    let chosen = choice
-        .among(&Dataset::cameras_in(data)?)
-        .map_err(|defect| {
-            SessionError::BadArgument(format!("--cameras, {}: {defect}", data.display()))
-        })?;
-    Ok(Dataset::open_part(data, options.episodes, Some(&chosen))?)
 }
 
 fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use tch::Device;
 use trocar_nets::act::BackboneNorm;
 
 use super::training_eval::TrainingEval;
 
-/// Which of the dataset's cameras the network sees.
+/// Which of the cameras the network sees, of several datasets' the first one's.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CameraChoice {
     /// The dataset's first; of recordings with `--cameras single` or `multi` the one that the paper gives policies of a single camera.
@@ -69,8 +69,9 @@ pub enum NetworkChoice {
 pub struct TrainingOptions {
     /// The network.
     pub network: NetworkChoice,
-    /// The dataset's directory.
-    pub data: PathBuf,
+    /// The datasets' directories, at least one: their episodes are learned from as those of one dataset.
+    #[serde(deserialize_with = "one_or_more")]
+    pub data: Vec<PathBuf>,
     /// The checkpoint's directory; a new or an empty one.
     pub out: PathBuf,
     /// Which cameras the network sees.
@@ -94,9 +95,9 @@ pub struct TrainingOptions {
     pub device: Device,
     /// Compute in 16 bits; for accelerators.
     pub bf16: bool,
-    /// Use only the first episodes.
+    /// Use only the first episodes, of all datasets together.
     pub episodes: Option<usize>,
-    /// Share of the episodes held out for validation.
+    /// Share of the episodes held out for validation, the last ones of all datasets together.
     pub validation_share: f64,
     /// Change what is trained on at random: shift and brighten images, move and hide points, disturb states.
     pub augment: bool,
@@ -134,6 +135,20 @@ pub struct TrainingOptions {
 
 const fn group_norm() -> BackboneNorm {
     BackboneNorm::GroupNorm
+}
+
+/// Options from before there could be several have one dataset.
+fn one_or_more<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<PathBuf>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Data {
+        One(PathBuf),
+        More(Vec<PathBuf>),
+    }
+    Ok(match Data::deserialize(from)? {
+        Data::One(folder) => vec![folder],
+        Data::More(folders) => folders,
+    })
 }
 
 /// A device by its name.

@@ -2,12 +2,13 @@
 
 use trocar_data::relative_action::REPRESENTATION;
 use trocar_nets::checkpoint::{
-    AggregationName, DatasetSummary, PolicyPreset, RECIPE_FORMAT, Recipe, RecommendedAggregation,
-    RecordedCamera, Variants,
+    AggregationName, PolicyPreset, RECIPE_FORMAT, Recipe, RecommendedAggregation, RecordedCamera,
+    Variants,
 };
 use trocar_train::AnyTrained;
 
 use super::source::STEP_NS;
+use super::training_data;
 use super::training_save::Saver;
 
 /// What is particular about the network that is trained.
@@ -49,12 +50,7 @@ pub(super) fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
         preset: made.preset,
         variants: made.variants,
         recipe: format!("trocar {}", options.command),
-        dataset: DatasetSummary {
-            task: dataset.task().to_owned(),
-            episodes: dataset.episodes().len(),
-            frames: dataset.len(),
-            fps: spec.fps,
-        },
+        dataset: training_data::summary(dataset),
         seed: options.seed,
         training: serde_json::json!({
             "options": train_options,

@@ -110,6 +110,7 @@ pub fn import_mapped(
             "source_episode": episode,
             "instruction": words.join(" / "),
             "recovery": label == Label::Recovery,
+            "failure": label == Label::Failure,
         }))?;
         done(index + 1, survey.episodes.len());
     }

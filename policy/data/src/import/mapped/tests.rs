@@ -66,6 +66,7 @@ fn open_h_round_trip_keeps_every_number() {
         record(&folder.0.join("ours"), arms, &cameras, &[5, 3]);
         let options = ExportOptions {
             dataset: folder.0.join("ours"),
+            failures: None,
             out: folder.0.join("theirs"),
             instruction: None,
             tools: vec!["Large Needle Driver".to_owned()],
@@ -186,6 +187,39 @@ fn joints_are_taken_and_poses_follow() {
     }
 }
 
+/// Failures that are exported stay behind on the way back unless they are asked for, and then they are what they were.
+#[test]
+fn failures_go_out_and_come_in() {
+    let folder = Folder::new("failures");
+    let (ours, failed) = (folder.0.join("ours"), folder.0.join("failed"));
+    record(&ours, 1, &["endoscope"], &[5, 3]);
+    record(&failed, 1, &["endoscope"], &[2, 4]);
+    let options = ExportOptions {
+        dataset: ours.clone(),
+        failures: Some(failed.clone()),
+        out: folder.0.join("theirs"),
+        instruction: None,
+        tools: vec!["Large Needle Driver".to_owned()],
+        video: crate::dataset::VideoCodec::H264,
+        provenance: crate::export::Provenance::default(),
+    };
+    let summary = export_open_h(&options, &mut |_, _| {}).unwrap();
+    assert_eq!(summary.splits["failure"], "2:4");
+    let mut request = folder.request("open-h-dvrk", "theirs");
+    for (split, meant) in [(None, ours), (Some("failure"), failed)] {
+        request.split = split.map(str::to_owned);
+        request.out = folder.0.join(split.unwrap_or("back"));
+        let summary = import_mapped(&request, &mut |_, _| {}).unwrap();
+        assert_eq!((summary.episodes, summary.left_out), (2, 2));
+        let (found, meant) = (
+            Dataset::open(&request.out).unwrap(),
+            Dataset::open(&meant).unwrap(),
+        );
+        assert_same(&found, &meant);
+        assert_eq!(found.episodes(), meant.episodes());
+    }
+}
+
 /// Episodes of the split failure stay behind unless asked for; recoveries are noted; several instructions need one text.
 #[test]
 fn splits_and_instructions_are_heeded() {
@@ -225,6 +259,9 @@ fn splits_and_instructions_are_heeded() {
         (summary.episodes, summary.instructions),
         (1, vec!["Grasp".to_owned()])
     );
+    let notes = Notes::read(&request.out).unwrap().episodes;
+    let failed = |note: &serde_json::Value| note["failure"].clone();
+    assert_eq!(failed(&notes[0]), json!(true));
     request.split = Some("expert".to_owned());
     request.out = folder.0.join("none");
     let told = import_mapped(&request, &mut |_, _| {})

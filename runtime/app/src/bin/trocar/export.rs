@@ -19,7 +19,7 @@ use crate::provenance::provenance;
 pub(crate) enum ExportVerb {
     /// Open-H-Embodiment's: LeRobot v2.1 with the names, units and notes of its dVRK datasets.
     #[command(
-        after_help = "Example: trocar export open-h runs/demos --out runs/open-h\n         trocar export open-h runs/demos --out runs/open-h --instruction \"Pick up the needle\" --tools \"Large Needle Driver\"\n\nStates and actions are tip poses and jaws in the arm's base frame (m, quaternion x, y, z, w, rad); joints come along, depth does not. Episodes that were disturbed come last, as the split recovery. Licence, institution and the like are to be filled in, in brackets, in OUT/meta/README.md."
+        after_help = "Example: trocar export open-h runs/demos --out runs/open-h\n         trocar export open-h runs/demos --out runs/open-h --instruction \"Pick up the needle\" --tools \"Large Needle Driver\"\n\nStates and actions are tip poses and jaws in the arm's base frame (m, quaternion x, y, z, w, rad); joints come along, depth does not. Episodes that were disturbed come behind the others, as the split recovery; those of --failures come last, as the split failure. Licence, institution and the like are to be filled in, in brackets, in OUT/meta/README.md."
     )]
     OpenH(OpenHArgs),
 }
@@ -38,6 +38,10 @@ pub(crate) struct OpenHArgs {
     /// The dataset's directory.
     #[arg(value_name = "DATASET")]
     dataset: PathBuf,
+    /// A dataset of attempts that failed, such as `trocar record --failures` makes: they come along as the split failure, and are in no
+    /// other. It must have the arms, the rate and the cameras of the first.
+    #[arg(long, value_name = "DIR")]
+    failures: Option<PathBuf>,
     /// The new dataset's directory; a new or an empty one.
     #[arg(long)]
     out: PathBuf,
@@ -60,12 +64,19 @@ pub(crate) fn export(verb: &ExportVerb) -> Done {
     let ExportVerb::OpenH(args) = verb;
     let dataset = ("the dataset", Some(args.dataset.as_path()));
     let out = ("--out", Some(args.out.as_path()));
-    outputs::check(&[("--json", args.json.as_deref())], &[dataset, out])?;
-    if let (Ok(within), Ok(dataset)) = (args.out.canonicalize(), args.dataset.canonicalize())
-        && within.starts_with(&dataset)
+    let failures = ("--failures", args.failures.as_deref());
+    let files = [dataset, failures, out];
+    outputs::check(&[("--json", args.json.as_deref())], &files)?;
+    for dataset in [Some(&args.dataset), args.failures.as_ref()]
+        .into_iter()
+        .flatten()
     {
-        let text = format!("--out {}: is in the dataset itself", args.out.display());
-        return Err(SessionError::BadArgument(text));
+        if let (Ok(within), Ok(dataset)) = (args.out.canonicalize(), dataset.canonicalize())
+            && within.starts_with(&dataset)
+        {
+            let text = format!("--out {}: is in the dataset itself", args.out.display());
+            return Err(SessionError::BadArgument(text));
+        }
     }
     let notes = Notes::read(&args.dataset)?;
     let provenance = provenance(&notes);
@@ -77,6 +88,7 @@ pub(crate) fn export(verb: &ExportVerb) -> Done {
     outputs::new_folder("--out", &args.out)?;
     let options = ExportOptions {
         dataset: args.dataset.clone(),
+        failures: args.failures.clone(),
         out: args.out.clone(),
         instruction: args.instruction.clone(),
         tools,

@@ -78,6 +78,11 @@ pub(crate) struct RecordArgs {
     /// given as it was, its seed too; --jobs and --episodes may be others.
     #[arg(long)]
     pub(crate) resume: bool,
+    /// Keep attempts that failed too, as a dataset of their own in this directory, a new or an empty one; each one's reason is noted. Of a
+    /// person's also those that are discarded, but not those that are done again. Open-H-Embodiment's split `failure` is made from it:
+    /// `trocar export open-h --failures`.
+    #[arg(long, value_name = "DIR", conflicts_with = "resume")]
+    pub(crate) failures: Option<PathBuf>,
     /// Seed of the first attempt; attempt i has seed + i, which wraps around past 2^64 - 1.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
@@ -122,6 +127,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         ("--config", args.config.config.as_ref()),
         ("--scene", args.scenes.scene.scene.as_ref()),
         ("--out", Some(&args.out)),
+        ("--failures", args.failures.as_ref()),
     ])
     .and_tasks([&args.task])
     .check(&[("--json", args.json.as_deref())])?;
@@ -147,6 +153,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
         depth: args.depth,
         video: args.video.map(codec),
         instruction: args.instruction.clone(),
+        failures: args.failures.clone(),
     };
     let by_hand = page.as_ref().filter(|_| args.source.is_a_person());
     if by_hand.is_none() {
@@ -248,6 +255,10 @@ fn report(summary: &RecordSummary, args: &RecordArgs) {
         "{episodes} episodes, {} steps in {out}{there}",
         summary.steps
     ));
+    if let (Some(failures), Some(dir)) = (summary.failures, &args.failures) {
+        let dir = dir.display();
+        console::result(&format!("{failures} attempts that failed in {dir}"));
+    }
     if args.source == Demonstrator::SimulatedOperator {
         let (kept, attempts) = (episodes - before, summary.attempts.len());
         console::result(&format!("{kept} of {attempts} attempts succeeded"));

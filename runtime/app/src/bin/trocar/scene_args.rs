@@ -131,6 +131,13 @@ impl Inputs {
         }
     }
 
+    /// And these, which `option` names.
+    pub(crate) fn and_each(mut self, option: &'static str, files: &[PathBuf]) -> Self {
+        let files = files.iter().cloned();
+        self.files.extend(files.map(|file| (option, Some(file))));
+        self
+    }
+
     /// And those of `named`, tasks that may be built-in ones.
     pub(crate) fn and_tasks<'a>(mut self, named: impl IntoIterator<Item = &'a String>) -> Self {
         let files = named.into_iter().flat_map(|task| tasks::paths(task));

@@ -19,15 +19,16 @@ use crate::scene_args::Inputs;
 use crate::train_args::{Backbone, Network, TrainArgs, TrainingRecipe};
 
 pub(crate) fn train(args: &TrainArgs) -> Done {
-    Inputs::new([("--data", args.data.as_ref()), ("--out", args.out.as_ref())])
+    Inputs::new([("--out", args.out.as_ref())])
+        .and_each("--data", &args.data)
         .and_tasks(&args.eval_task)
         .check(&[("--json", args.json.as_deref())])?;
     let mut progress = Progress::new();
     let mut on_news = |news: &TrainingNews<'_>| progress.news(news);
-    let (result, out) = match (&args.resume, &args.policy, &args.data, &args.out) {
+    let (result, out) = match (&args.resume, &args.policy, &args.out) {
         (Some(folder), ..) => (training::resume(folder, &mut on_news), folder),
-        (None, Some(policy), Some(data), Some(out)) => {
-            let options = training_options(args, *policy, data, out)?;
+        (None, Some(policy), Some(out)) => {
+            let options = training_options(args, *policy, out)?;
             (training::train(&options, &mut on_news), out)
         }
         // The parser asks for these before.
@@ -68,7 +69,6 @@ fn missing_options() -> SessionError {
 fn training_options(
     args: &TrainArgs,
     network: Network,
-    data: &Path,
     out: &Path,
 ) -> Result<TrainingOptions, SessionError> {
     Ok(TrainingOptions {
@@ -77,7 +77,7 @@ fn training_options(
             Network::ActPc => NetworkChoice::ActPc,
             Network::Dp3 => NetworkChoice::Dp3,
         },
-        data: data.to_owned(),
+        data: args.data.clone(),
         out: out.to_owned(),
         cameras: CameraChoice::of(&args.cameras),
         preset: args.preset.clone().unwrap_or_else(|| {

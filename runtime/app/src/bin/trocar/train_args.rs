@@ -42,9 +42,10 @@ pub(crate) struct TrainArgs {
     /// The network.
     #[arg(long, value_enum, required_unless_present = "resume")]
     pub(crate) policy: Option<Network>,
-    /// The dataset's directory.
-    #[arg(long, required_unless_present = "resume")]
-    pub(crate) data: Option<PathBuf>,
+    /// The dataset's directory. More than once: several datasets, such as demonstrations and interventions, are learned from as one, whose
+    /// episodes are those of the first, then those of the next. They must agree in arms, fps, and the cameras that the network sees.
+    #[arg(long, value_name = "DIR", required_unless_present = "resume")]
+    pub(crate) data: Vec<PathBuf>,
     /// The checkpoint's directory; a new or an empty one.
     #[arg(long, required_unless_present = "resume")]
     pub(crate) out: Option<PathBuf>,
@@ -67,7 +68,7 @@ pub(crate) struct TrainArgs {
     /// its own (ties: the later ones); OUT itself gets the last ones. OUT/evaluations.csv has all.
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) eval_every: Option<u64>,
-    /// The task of these evaluations, a built-in one by name, or the path of a folder; the dataset's if not given.
+    /// The task of these evaluations, a built-in one by name, or the path of a folder; the dataset's, of several the first one's, if not given.
     #[arg(long, value_parser = TaskParser, requires = "eval_every")]
     pub(crate) eval_task: Option<String>,
     /// Trials of an evaluation.
@@ -83,7 +84,7 @@ pub(crate) struct TrainArgs {
     #[arg(long, value_name = "MS", value_parser = delay(), requires = "eval_every")]
     pub(crate) eval_latency_ms: Option<u64>,
     /// Which of the dataset's cameras the network sees: `single` (its first; of recordings with `single` or `multi` the paper's),
-    /// `multi` (all), or names with commas between them.
+    /// `multi` (all, which must be the same in several datasets), or names with commas between them.
     #[arg(long, value_name = "single|multi|NAMES", default_value = "multi")]
     pub(crate) cameras: String,
     /// Sizes and recipe: of act, small (the default), compact, paper or lerobot; of act-pc, small (the default), paper
@@ -110,10 +111,10 @@ pub(crate) struct TrainArgs {
     /// Where the network computes.
     #[arg(long, value_enum, default_value = "cpu")]
     pub(crate) device: ComputeDevice,
-    /// Use only the first episodes.
+    /// Use only the first episodes, of all datasets in their order.
     #[arg(long, value_parser = count())]
     pub(crate) episodes: Option<usize>,
-    /// Validation split: the share of the episodes, the last ones, that is held out; 0 to 0.9.
+    /// Validation split: the share of the episodes, the last ones of all datasets in their order, that is held out; 0 to 0.9.
     #[arg(long, default_value_t = 0.0)]
     pub(crate) validation_share: f64,
     /// Compute in 16 bits (bfloat16); for accelerators.

@@ -25,6 +25,7 @@ pub(super) fn record_lift(out: &Path, depth: bool, side: u32) -> Dataset {
         video: None,
         disturb: None,
         instruction: None,
+        failures: None,
     };
     let expert = PolicyChoice::Expert;
     let plan = Plan {

@@ -37,6 +37,7 @@ pub(super) fn options(out: &Path, disturb: Option<f64>) -> RecordOptions {
         video: None,
         disturb,
         instruction: None,
+        failures: None,
     }
 }
 

@@ -12,7 +12,7 @@ use crate::session::record::{Attempt, RecordSummary};
 use crate::session::scene_options::SceneOptions;
 
 /// Every file below `dir` by its name there.
-fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+pub(super) fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![dir.to_owned()];
     while let Some(folder) = folders.pop() {

@@ -1,0 +1,174 @@
+//! Several datasets as one, their episodes one after another.
+
+use std::path::{Path, PathBuf};
+
+use hal::Intrinsics;
+
+use super::{
+    CameraSpec, Dataset, DatasetError, DatasetSpec, Episode, Totals, check::input, rows::Place,
+};
+
+/// One of the datasets that a [`Dataset`] is of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// Its folder.
+    pub dir: PathBuf,
+    /// Its task, as [`Dataset::task`] has it.
+    pub task: String,
+    /// Its episodes, of those that were opened.
+    pub episodes: usize,
+    /// Frames in them.
+    pub frames: usize,
+}
+
+impl Dataset {
+    /// Opens the datasets in the folders `dirs` as one: the episodes of the first, then those of the next. Of all these the first
+    /// `episodes`, or all; `cameras` as in [`Self::open_part`], if they are not named those of the first.
+    ///
+    /// They must have the same arms, the same frames a second, and the cameras with the same sizes: all the same ones, or those that
+    /// are named. With `depth` their lenses must be the same too; without, depth is left out where they are not. The task is the
+    /// first's.
+    ///
+    /// # Errors
+    /// Those of [`Self::open_part`]; [`DatasetError::Apart`], which names two datasets and what differs; [`DatasetError::Input`] if
+    /// there are no folders, or too few episodes in all.
+    pub fn open_joined(
+        dirs: &[PathBuf],
+        episodes: Option<usize>,
+        cameras: Option<&[String]>,
+        depth: bool,
+    ) -> Result<Self, DatasetError> {
+        let Some((first, others)) = dirs.split_first() else {
+            return Err(input("the number of datasets", "0", "at least 1"));
+        };
+        if others.is_empty() {
+            return Self::open_part(first, episodes, cameras);
+        }
+        let mut left = check_episodes(dirs, episodes)?;
+        let all = Self::cameras_in(first)?;
+        let mut open = |dir: &Path| {
+            let seen = check_cameras((first, &all), dir, cameras)?;
+            let episodes = left.min(Totals::read(dir)?.episodes);
+            left -= episodes;
+            Self::open_part(dir, Some(episodes), Some(seen))
+        };
+        let mut joined = open(first)?;
+        for dir in others {
+            joined.append(open(dir)?, depth)?;
+        }
+        Ok(joined)
+    }
+
+    /// Appends the episodes of `other`.
+    fn append(&mut self, other: Self, depth: bool) -> Result<(), DatasetError> {
+        if let Some(difference) = difference(&self.spec, &other.spec, depth) {
+            let dir = |dataset: &Self| dataset.parts.first().map(|part| part.dir.clone());
+            return Err(DatasetError::Apart {
+                first: dir(self).unwrap_or_default(),
+                other: dir(&other).unwrap_or_default(),
+                difference,
+            });
+        }
+        self.spec.intervention &= other.spec.intervention;
+        for (mine, theirs) in self.spec.cameras.iter_mut().zip(&other.spec.cameras) {
+            mine.depth = mine.depth.filter(|lens| theirs.depth == Some(*lens));
+        }
+        let (episodes, frames, tables) = (self.episodes.len(), self.len(), self.tables.len());
+        let moved = |episode: Episode| Episode {
+            index: episodes + episode.index,
+            start: frames + episode.start,
+            ..episode
+        };
+        self.episodes.extend(other.episodes.into_iter().map(moved));
+        self.rows.state.extend(other.rows.state);
+        self.rows.tip_pose.extend(other.rows.tip_pose);
+        self.rows.action.extend(other.rows.action);
+        let moved = |place: Place| Place {
+            table: tables + place.table,
+            ..place
+        };
+        let places = other.rows.place.into_iter();
+        self.rows.place.extend(places.map(moved));
+        self.tables.extend(other.tables);
+        self.videos.append(other.videos);
+        self.parts.extend(other.parts);
+        Ok(())
+    }
+}
+
+/// How many episodes are to be opened; they must be there.
+fn check_episodes(dirs: &[PathBuf], wanted: Option<usize>) -> Result<usize, DatasetError> {
+    let mut there = 0_usize;
+    for dir in dirs {
+        there = there.saturating_add(Totals::read(dir)?.episodes);
+    }
+    match wanted {
+        Some(wanted) if wanted > there => {
+            let dirs: Vec<String> = dirs.iter().map(|dir| dir.display().to_string()).collect();
+            let what = format!("the number of episodes in {}", dirs.join(", "));
+            Err(input(&what, &there.to_string(), &wanted.to_string()))
+        }
+        wanted => Ok(wanted.unwrap_or(there)),
+    }
+}
+
+/// The cameras to open in `dir`: those that are `named`, which must be there, or those of the `first` dataset, which it must have and
+/// no more.
+fn check_cameras<'a>(
+    (first, all): (&Path, &'a [String]),
+    dir: &Path,
+    named: Option<&'a [String]>,
+) -> Result<&'a [String], DatasetError> {
+    let there = Dataset::cameras_in(dir)?;
+    let seen = named.unwrap_or(all);
+    let has_them = seen.iter().all(|name| there.contains(name));
+    if (has_them || dir == first) && (named.is_some() || there.len() == all.len()) {
+        return Ok(seen);
+    }
+    Err(DatasetError::Apart {
+        first: first.to_owned(),
+        other: dir.to_owned(),
+        difference: apart("the list of cameras", &listed(all), &listed(&there)),
+    })
+}
+
+fn listed(names: &[String]) -> String {
+    match names {
+        [] => "empty".to_owned(),
+        names => names.join(", "),
+    }
+}
+
+/// What something is in each of two datasets, in words.
+fn apart(what: &str, first: &str, other: &str) -> String {
+    format!("{what} is {first} in the first, {other} in the other")
+}
+
+/// The first thing that datasets with the same cameras must have in common and have not, in words.
+fn difference(a: &DatasetSpec, b: &DatasetSpec, depth: bool) -> Option<String> {
+    let apart = |what: &str, a: String, b: String| (a != b).then(|| apart(what, &a, &b));
+    let number = |what: &str, a: usize, b: usize| apart(what, a.to_string(), b.to_string());
+    let of_cameras = || {
+        let mut cameras = a.cameras.iter().zip(&b.cameras);
+        cameras.find_map(|(a, b)| {
+            let size = |camera: &CameraSpec| format!("{} x {}", camera.width, camera.height);
+            let what = |of: &str| format!("the {of} of {}", a.name);
+            let sizes = apart(&what("size"), size(a), size(b));
+            let lenses = || apart(&what("depth"), lens(a.depth), lens(b.depth));
+            sizes.or_else(|| lenses().filter(|_| depth))
+        })
+    };
+    number("the number of arms", a.arms, b.arms)
+        .or_else(|| number("fps", a.fps as usize, b.fps as usize))
+        .or_else(of_cameras)
+}
+
+fn lens(depth: Option<Intrinsics>) -> String {
+    depth.map_or_else(
+        || "not recorded".to_owned(),
+        |lens| {
+            let (focal, centre) = ((lens.fx, lens.fy), (lens.cx, lens.cy));
+            format!("seen by a lens with focal lengths {focal:?} and centre {centre:?} pixels")
+        },
+    )
+}
