@@ -12,6 +12,8 @@ A phantom is made and built into the given folder (`--size`, `--seed`), and once
            farther than a voxel's diagonal from the faces of its voxels
   usd      usd-core opens the stage, UsdValidation finds no error; units, up axis, semantics, masses, bound materials
   gltf     the Khronos validator has neither error nor warning; trimesh sees the same bounds as in the stage
+  foreign  a stage that usd-core wrote, in centimetres and y upwards, turned and scaled by operations, alone and in a package, is the patient that
+           it was made of, under a needle lift's expert; its binary form is refused
   planted  a stage without default prim, and a glTF file with an index out of range, are caught by these judges
   dicom    the CT written as a DICOM series by SimpleITK is segmented as the NIfTI is, and its labels come to lie at the same places; a
            series without one of its slices is refused
@@ -33,7 +35,7 @@ import nibabel
 import numpy as np
 import SimpleITK
 import trimesh
-from pxr import Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdShade, UsdValidation
+from pxr import Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdShade, UsdUtils, UsdValidation, Vt
 from scipy.spatial import cKDTree
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,6 +53,8 @@ VOLUME = 0.01
 CENTRE_VOXELS = 0.5
 # Of positions as float32, m.
 METRES = 1e-6
+# Between patches of two files of one organ, whose normals differ, m.
+PATCH_M = 2e-3
 failures = []
 
 
@@ -182,6 +186,53 @@ def check_gltf(path, meshes):
     report("glTF: its warnings", issues["numWarnings"], 0)
 
 
+def work_on(patient, result):
+    """A needle lift on the liver of a patient, by the expert."""
+    scene = ["--set", f"scene.scene.patient={patient}", "--set", "scene.scene.organ=liver"]
+    run = [TROCAR, "run", "--task", "needle-lift", "--policy", "expert", "--lockstep", *scene, "--json", str(result)]
+    return subprocess.run(run, capture_output=True, text=True)
+
+
+def write_stage(path, meshes):
+    """The patient in centimetres and y upwards, each mesh in a prim that is moved, turned and scaled unevenly."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    body = UsdGeom.Xform.Define(stage, "/World/Body")
+    body.AddTranslateOp().Set((10, -20, 30))
+    body.AddRotateXYZOp().Set((20, -30, 40))
+    body.AddScaleOp().Set((2, 3, 0.5))
+    inverse = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(body.GetPrim()).GetInverse())
+    for name, mesh in meshes.items():
+        right, front, head = mesh.vertices.T * 100
+        places = np.column_stack([-right, head, front, np.ones_like(head)]) @ inverse
+        prim = UsdGeom.Mesh.Define(stage, f"/World/Body/{name.replace('-', '_').title()}")
+        prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(places[:, :3].astype(np.float32)))
+        prim.CreateFaceVertexCountsAttr([3] * len(mesh.faces))
+        prim.CreateFaceVertexIndicesAttr(mesh.faces.ravel().tolist())
+    stage.Save()
+    return stage
+
+
+def check_foreign(folder, meshes):
+    """Stages of usd-core as patients."""
+    other = folder / "other.usda"
+    other.unlink(missing_ok=True)
+    stage = write_stage(other, meshes)
+    stage.Export(str(folder / "other.usdc"))
+    UsdUtils.CreateNewUsdzPackage(str(other), str(folder / "other.usdz"))
+    patches = []
+    for place in (folder, folder / "patient.usda", other, folder / "other.usdz"):
+        result = folder / "lift.json"
+        done = work_on(place, result)
+        report(f"foreign: {place.name}: exit code of a needle lift", done.returncode, 0)
+        if done.returncode == 0:
+            patches.append(np.array(json.loads(result.read_text())["patient"]["patch_in_scan_m"]))
+            report(f"foreign: {place.name}: its patch from our glTF file's, m", np.abs(patches[-1] - patches[0]).max(), PATCH_M)
+    refused = work_on(folder / "other.usdc", folder / "none.json")
+    report("foreign: a binary stage that is taken, or refused without a hint", int(refused.returncode != 2 or "usdcat" not in refused.stderr), 0)
+
+
 def check_planted(folder):
     """What is wrong on purpose must be found."""
     text = (folder / "patient.usda").read_text()
@@ -276,6 +327,7 @@ def main():
     meshes = stage_meshes(stage)
     check_meshes(folder, image, meshes)
     check_gltf(folder / "patient.glb", meshes)
+    check_foreign(folder, meshes)
     check_planted(folder)
     check_axes(folder, image, meshes)
     check_dicom(folder)

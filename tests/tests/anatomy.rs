@@ -97,8 +97,8 @@ fn patient_is_drawn_and_worked_on() {
     refused(&["preview", &out, "--out", &labels], "a .gif or a .png");
 
     let result = folder.join("run.json");
-    let run = |organ: &str| {
-        let scene = [format!("patient={out}"), format!("organ={organ}")];
+    let run = |patient: &str, organ: &str| {
+        let scene = [format!("patient={patient}"), format!("organ={organ}")];
         let [patient, organ] = scene.map(|change| format!("scene.scene.{change}"));
         let task = ["run", "--task", "needle-lift", "--policy", "expert"];
         let set = ["--lockstep", "--set", &patient, "--set", &organ, "--json"];
@@ -106,12 +106,19 @@ fn patient_is_drawn_and_worked_on() {
         let mut run = trocar(Profile::Debug);
         run.args(task).args(set).arg(json).output().unwrap()
     };
-    assert!(run("liver").status.success());
+    assert!(run(&out, "liver").status.success());
     let told = json(&result);
     assert_eq!(told["success"], true);
     assert_eq!(told["patient"]["organ"], "liver");
     assert!(told["patient"]["patch_in_scan_m"][1].as_f64().unwrap() > 0.0);
-    let brain = run("brain");
+    // Our stage, as one of another program.
+    let stage = run(&format!("{out}/patient.usda"), "liver");
+    assert!(stage.status.success(), "{}", stderr(&stage));
+    // The patch may be another one: it is chosen among some of the vertices, whose order is each file's.
+    let told = json(&result);
+    assert_eq!(told["success"], true);
+    assert_eq!(told["patient"]["organ"], "liver");
+    let brain = run(&out, "brain");
     assert_eq!(brain.status.code(), Some(2));
     assert!(stderr(&brain).contains("scene.organ = brain is outside liver"));
 }

@@ -559,7 +559,7 @@ def test_arms_are_seen_where_no_camera_can_be_drawn(
     assert code == 1 and json.loads(out)["policy"]["refused"] == 0, err
     # A busy machine may make it see a step after the one that was its turn, but no turn twice.
     turns = [step // 5 for step in policy.asked]
-    assert len(turns) >= 5 and turns == sorted(set(turns))
+    assert len(turns) >= 5 and turns == sorted(set(turns)) and any(step % 5 == 0 for step in policy.asked)
     looks = session(*real_time)
     trocar.serve(Holds(), name, cameras=["endoscope"], sessions=1)
     code, _, err = looks.end()

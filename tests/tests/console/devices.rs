@@ -7,7 +7,7 @@ use trocar::session::{Plan, PolicyChoice};
 
 use crate::devtools::Browser;
 use crate::lift::{SLOW_MOTION, operated};
-use crate::run::Served;
+use crate::run::{PATIENCE, Served};
 
 /// A run of needle lift by hand.
 fn by_hand(test: &str, more: &[&str]) -> Served {
@@ -176,10 +176,11 @@ fn a_spacemouse_moves_the_tip() {
     // Without its button it moves nothing.
     browser.evaluate("operator.push([0, 1, 0]), new Promise((done) => setTimeout(done, 500))");
     near(start.way(&Tip::rested(&mut browser)), [0.0; 3], 1e-5);
-    browser.evaluate("operator.take(), true");
     let y = start.0[1];
-    browser.wait_until(&format!("told.teleop.arms[0].tip[1] > {y} + 0.004"));
-    browser.evaluate("operator.push([0, 0, 0]), true");
+    browser.evaluate(&format!(
+        "operator.until([0, 1, 0], [0, 0, 0], () => told.teleop.arms[0].tip[1] > {y} + 0.004), true"
+    ));
+    browser.wait_until("operator.there");
     let risen = Tip::rested(&mut browser);
     let [x, up, z] = start.way(&risen);
     assert!(up > 0.004 && x.hypot(z) < 0.1 * up, "{x} {up} {z}");
@@ -187,20 +188,26 @@ fn a_spacemouse_moves_the_tip() {
     browser.wait_until("!told.teleop.arms[0].engaged");
     near(risen.way(&Tip::rested(&mut browser)), [0.0; 3], 5e-4);
 
-    browser.evaluate("operator.hands.combined = true, operator.hands.drive([0, 0, 0], [0, 0, 1]), operator.take(), true");
+    browser.evaluate("operator.hands.combined = true, window.turned = false, operator.until([0, 0, 0], [0, 0, 1], () => window.turned), true");
+    let mut rounds = PATIENCE.as_millis() / 20;
     while risen.turn(&Tip::now(&mut browser))[2] < 0.12 {
+        assert!(rounds > 0, "it does not turn");
+        rounds -= 1;
         sleep_ns(20_000_000);
     }
-    browser.evaluate("operator.hands.drive([0, 0, 0], [0, 0, 0]), true");
+    browser.evaluate("window.turned = true");
+    browser.wait_until("operator.there");
     let [x, y, roll] = risen.turn(&Tip::rested(&mut browser));
     assert!(roll > 0.1 && x.hypot(y) < 0.2 * roll, "{x} {y} {roll}");
     let jaw = "told.teleop.arms[0].jaw";
     let open = browser.evaluate(&format!("{jaw} < 0.5")) == true;
+    browser.evaluate("operator.take(), true");
+    browser.wait_until("told.teleop.arms[0].engaged");
     browser.evaluate("operator.hands.second(), true");
     browser.wait_until(&format!("{jaw} {}", if open { "> 0.95" } else { "< 0.05" }));
 
-    browser.evaluate("operator.hands.drive([1, 0, 0], [0, 0, 0]), true");
-    browser.wait_until("told.arms[0].commanded_velocity.some((v) => Math.abs(v) > 0.01)");
+    browser.evaluate("operator.move([1, 0, 0]), true");
+    browser.wait_until("operator.moves");
     browser.evaluate("operator.hands.unplug(), true");
     browser.wait_until("!told.teleop.arms[0].engaged");
     browser.wait_until("told.arms[0].commanded_velocity.every((v) => Math.abs(v) < 1e-4)");

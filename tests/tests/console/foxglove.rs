@@ -14,7 +14,7 @@ use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
 
 use crate::page::Page;
-use crate::run::{PATIENCE, Served, made_log};
+use crate::run::{PATIENCE, SLOW_MOTION, Served, made_log};
 
 /// `foxglove.FrameTransforms`, as far as its names go.
 #[derive(Clone, PartialEq, prost::Message)]
@@ -82,6 +82,7 @@ impl Shown {
         let words = "run --task needle-lift --policy random --seed 7 --foxglove 127.0.0.1:0 --set scene.episode.time_limit_s=300";
         command
             .env("XDG_RUNTIME_DIR", sockets)
+            .env("TROCAR_SLOW_MOTION", SLOW_MOTION.to_string())
             .args(words.split(' '))
             .stdout(Stdio::null())
             .stderr(Stdio::piped());

@@ -14,8 +14,7 @@ use crate::teleop::{Operator, engaged, refused, rested, tip, way};
 
 /// The words of `trocar record` with a person who may take over from the expert.
 fn record(data: &Path) -> Vec<String> {
-    let words =
-        "record --task needle-lift --source intervention --policy expert --episodes 1 --seed 7";
+    let words = "record --task needle-lift --source intervention --policy expert --episodes 1 --seed 7 --set scene.episode.time_limit_s=300";
     let words = words.split(' ').map(str::to_owned);
     let out = ["--out".to_owned(), data.display().to_string()];
     words.chain(out).collect()
@@ -156,9 +155,10 @@ fn a_gamepad_takes_over_from_a_policy_and_the_dataset_says_so() {
     browser.evaluate("operator.take(), true");
     browser.wait_until(&drives("operator"));
     let taken = browser.evaluate(tip);
-    browser.evaluate("operator.move([0, 1, 0]), true");
-    browser.wait_until(&format!("{tip} > {taken} + 0.005"));
-    browser.evaluate("operator.push([0, 0, 0]), true");
+    browser.evaluate(&format!(
+        "operator.until([0, 1, 0], [0, 0, 0], () => {tip} > {taken} + 0.005), true"
+    ));
+    browser.wait_until("operator.there");
     crate::browser::looks_right(&mut browser, "operator-drives");
     browser.evaluate("operator.rest(), true");
     browser.wait_until("!document.querySelector('#hand-back').disabled");

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use tests::{Profile, json, stderr, trocar};
 use trocar::rt::sleep_ns;
 
-use crate::run::PATIENCE;
+use crate::run::{PATIENCE, SLOW_MOTION};
 
 /// Ended with its test.
 struct Ended(Child);
@@ -41,6 +41,7 @@ fn the_monitor_shows_a_run_and_its_keys_steer_it() {
     std::fs::create_dir_all(&sockets).unwrap();
     let at = |mut command: Command| {
         command.env("XDG_RUNTIME_DIR", &sockets);
+        command.env("TROCAR_SLOW_MOTION", SLOW_MOTION.to_string());
         command
     };
     let mut run = at(trocar(Profile::Debug));

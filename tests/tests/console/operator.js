@@ -246,6 +246,7 @@ const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 window.operator = {
   tracked: true,
   moves: false,
+  there: false,
   done: false,
   get hands() {
     // A mouse is the browser's own.
@@ -274,6 +275,18 @@ window.operator = {
       await sleep(20);
       this.moves = window.told.arms[0].commanded_velocity.some((v) => Math.abs(v) > 0.01);
     }
+  },
+
+  /** Takes the clutch and pushes until `fits`, however often the run lets go of it meanwhile; then holds still. */
+  async until(way, turn, fits) {
+    this.there = false;
+    while (!fits()) {
+      await this.take();
+      this.hands.drive(way, turn);
+      await sleep(20);
+    }
+    this.hands.drive([0, 0, 0], [0, 0, 0]);
+    this.there = true;
   },
 
   rest() {

@@ -186,7 +186,9 @@ fn a_slow_page_sees_the_newest() {
     assert!(first_picture >= Some(shown), "{first_picture:?} at {shown}");
 
     while slow.unacknowledged < 8 {
-        slow.hear();
+        if let Heard::Closed(code) = slow.hear() {
+            panic!("closed with {code}");
+        }
     }
     assert!(watching.command("stop").0);
     let ended = |heard: Heard| matches!(heard, Heard::Text(text) if text["kind"] == "end");

@@ -91,12 +91,17 @@ impl Operator {
         panic!("never: {state}");
     }
 
-    /// Takes the clutch, and waits for it to hold.
+    /// Takes the clutch, anew if the run lets go of it since a message came late, until it holds.
     pub(crate) fn engage(&mut self) {
-        self.clutch = false;
-        self.until(|state| lost(state).is_empty() && !engaged(state));
-        self.clutch = true;
-        self.until(engaged);
+        for _ in 0..100 {
+            self.clutch = false;
+            self.until(|state| lost(state).is_empty() && !engaged(state));
+            self.clutch = true;
+            if engaged(&self.until(|state| engaged(state) || !lost(state).is_empty())) {
+                return;
+            }
+        }
+        panic!("the clutch never holds");
     }
 
     /// Holds the hand still until the arm rests; the state then.
@@ -317,7 +322,18 @@ fn each_hand_moves_its_own_arm() {
     };
     let first = of(&step(&mut operator, false, 0.0), 0);
     let second = of(&step(&mut operator, false, 0.0), 1);
-    while step(&mut operator, true, 0.0)["teleop"]["arms"][1]["engaged"] != true {}
+    let mut tries = 0;
+    loop {
+        let state = step(&mut operator, true, 0.0);
+        if state["teleop"]["arms"][1]["engaged"] == true {
+            break;
+        }
+        if !state["teleop"]["arms"][1]["lost"].is_null() {
+            step(&mut operator, false, 0.0);
+        }
+        tries += 1;
+        assert!(tries < 2000, "{state}");
+    }
     // It rises by 30 mm and rests there.
     for count in 0..20 {
         step(&mut operator, true, 0.0015 * f64::from(count));

@@ -1,5 +1,6 @@
 //! Several datasets as one, their episodes one after another.
 
+use core::cell::Cell;
 use std::path::{Path, PathBuf};
 
 use hal::Intrinsics;
@@ -44,16 +45,19 @@ impl Dataset {
         if others.is_empty() {
             return Self::open_part(first, episodes, cameras);
         }
-        let mut left = check_episodes(dirs, episodes)?;
+        let left = Cell::new(check_episodes(dirs, episodes)?);
         let all = Self::cameras_in(first)?;
-        let mut open = |dir: &Path| {
+        let open = |dir: &Path| {
             let seen = check_cameras((first, &all), dir, cameras)?;
-            let episodes = left.min(Totals::read(dir)?.episodes);
-            left -= episodes;
+            let episodes = left.get().min(Totals::read(dir)?.episodes);
+            left.set(left.get() - episodes);
             Self::open_part(dir, Some(episodes), Some(seen))
         };
         let mut joined = open(first)?;
         for dir in others {
+            if left.get() == 0 {
+                break;
+            }
             joined.append(open(dir)?, depth)?;
         }
         Ok(joined)

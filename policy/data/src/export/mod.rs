@@ -114,6 +114,10 @@ fn read(options: &ExportOptions) -> Result<(Dataset, Notes), DatasetError> {
     let dirs = [options.dataset.clone(), failures.clone()];
     let dataset = Dataset::open_joined(&dirs, None, None, false)?;
     let of_failures = Notes::read(failures)?;
+    let words = Dataset::open_part(failures, Some(0), None)?
+        .spec()
+        .task
+        .clone();
     let [kept, failed] = dataset.parts() else {
         return Ok((dataset, notes));
     };
@@ -123,6 +127,9 @@ fn read(options: &ExportOptions) -> Result<(Dataset, Notes), DatasetError> {
             .unwrap_or_else(|| json!({}));
         if !splits::is_failure(&note) {
             note["failure"] = true.into();
+        }
+        if note["instruction"].as_str().is_none_or(str::is_empty) {
+            note["instruction"] = words.clone().into();
         }
         note["episode_index"] = json!(kept.episodes + episode);
         notes.episodes.push(note);

@@ -31,6 +31,9 @@ const ON_THE_WAY_MAX: u32 = 8;
 /// Time from one ping to the next, which browsers answer by themselves.
 const PING: Duration = Duration::from_secs(2);
 
+/// How long a page that was told of the end has to close.
+const FAREWELL: Duration = Duration::from_secs(1);
+
 /// A page of which nothing is heard for this long is gone, ns.
 const SILENCE_NS: u64 = 10_000_000_000;
 
@@ -160,6 +163,9 @@ impl Page {
             News::End(text) => {
                 send(socket, Message::Text(text)).await?;
                 close(socket, close_code::NORMAL, "the run has ended").await?;
+                // A socket that goes with words unread resets the connection, and what is on its way is lost.
+                let unread = async { while let Some(Ok(_)) = socket.recv().await {} };
+                let _silent = timeout(FAREWELL, unread).await;
                 Err(Gone)
             }
         }

@@ -2,7 +2,7 @@
 //!
 //! It counts every tick and hands over the newest one with the counts fifty times a second, and at once when an arm's state changes.
 
-use hal::{ARMS_MAX, Chunk, PerArm, TICK_NS, TimeNs};
+use hal::{ARMS_MAX, Chunk, PerArm, TICK_NS};
 use rtrb::Producer;
 use trocar_control::rows::Velocities;
 use trocar_control::{
@@ -11,7 +11,7 @@ use trocar_control::{
 use trocar_log::{ArmRecord, TickRecord};
 
 use crate::mailbox::MailboxWriter;
-use crate::session::teleop::Commanded;
+use crate::session::teleop::{Commanded, Given};
 
 /// Ticks from one report to the next.
 const EVERY_TICKS: u64 = 20;
@@ -103,8 +103,7 @@ pub struct ControlTap {
     to: MailboxWriter<Sample>,
     commanded: MailboxWriter<Commanded>,
     chunks: MailboxWriter<PerArm<Chunk>>,
-    /// The newest chunk that the controller was given, and when.
-    given: (u64, TimeNs),
+    given: Given,
     counts: Counts,
     /// When it last reported, and in which states the arms were.
     reported: Option<(u64, States)>,
@@ -125,7 +124,7 @@ impl ControlTap {
             to,
             commanded,
             chunks,
-            given: (0, TimeNs(0)),
+            given: Given::nothing(),
             counts: Counts {
                 ticks: 0,
                 skipped: 0,

@@ -96,7 +96,7 @@ fn refused(option: &str, path: &Path, reason: &str) -> SessionError {
 }
 
 /// One name for one file, whether it is there or not.
-fn identity(path: &Path) -> PathBuf {
+pub(super) fn identity(path: &Path) -> PathBuf {
     if let Ok(whole) = path.canonicalize() {
         return whole;
     }

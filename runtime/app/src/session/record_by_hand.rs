@@ -126,7 +126,9 @@ impl Studio {
         let task = &plan.setup.task;
         self.cameras.begin_episode(task, plan.seed);
         let steps = demonstrated.moments.len();
-        let frames = if result.ok || options.failures.is_some() {
+        // Whatever else ends an attempt, such as a policy that dies, is no failure of the person's.
+        let failed = demonstrated.ended == Some(Wish::Discard);
+        let frames = if result.ok || (failed && options.failures.is_some()) {
             let moments = demonstrated.moments.iter();
             let frames = moments.map(|moment| self.frame(moment, options.depth));
             frames.collect::<Result<Vec<_>, SessionError>>()?

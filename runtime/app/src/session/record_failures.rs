@@ -32,7 +32,16 @@ pub(super) fn check(options: &RecordOptions) -> Result<(), SessionError> {
             "--failures: not with --resume, which would record those behind the last success once more"
                 .to_owned(),
         )),
-        Some(dir) => outputs::new_folder("--failures", dir),
+        Some(dir) => {
+            let (out, failures) = (outputs::identity(&options.out), outputs::identity(dir));
+            if out.starts_with(&failures) || failures.starts_with(&out) {
+                return Err(SessionError::BadArgument(format!(
+                    "--failures {}: neither may be in the other, nor the same as --out",
+                    dir.display()
+                )));
+            }
+            outputs::new_folder("--failures", dir)
+        }
         None => Ok(()),
     }
 }

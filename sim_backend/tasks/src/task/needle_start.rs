@@ -35,6 +35,8 @@ const LEVEL_MIN: f64 = 0.94;
 /// Lowest place of its wire there, scene frame, m: fingers reach half a millimetre below a wire, and no lower than -3.5 mm, since the
 /// workspaces of the tasks end at -5 mm.
 const LOW_M: f64 = -0.002;
+/// Greatest height of its wire above the organ there, m: more of it would hang over an edge.
+const GAP_M_MAX: f64 = 0.004;
 
 impl NeedleStart {
     /// The needle's pose at the start of the episode `seed`, just above the organ and flat on it.
@@ -115,11 +117,13 @@ impl NeedleStart {
 /// Whether a needle at `pose` lies wholly on `organ`, not too steep and within reach.
 fn lies_well(pose: &Pose, needle: &NeedleShape, organ: &Organ) -> bool {
     let level = (pose * Vector3::z()).z >= LEVEL_MIN;
-    let wire = needle.centre_line(25).into_iter().map(|point| pose * point);
+    let mut wire = needle.centre_line(25).into_iter().map(|point| pose * point);
     level
-        && wire
-            .clone()
-            .all(|point| point.z >= LOW_M && organ.covers(point.x, point.y))
+        && wire.all(|point| {
+            // Far above where there is no organ.
+            let gap_m = point.z - organ.height_m(point.x, point.y);
+            point.z >= LOW_M && gap_m <= GAP_M_MAX
+        })
 }
 
 /// The pose in which a needle centred over `x` and `y` lies along the organ's slope without touching it.

@@ -67,6 +67,13 @@ pub(crate) fn export(verb: &ExportVerb) -> Done {
     let failures = ("--failures", args.failures.as_deref());
     let files = [dataset, failures, out];
     outputs::check(&[("--json", args.json.as_deref())], &files)?;
+    if let Some(failures) = &args.failures
+        && let (Ok(one), Ok(other)) = (args.dataset.canonicalize(), failures.canonicalize())
+        && one == other
+    {
+        let text = format!("--failures {}: is the dataset itself", failures.display());
+        return Err(SessionError::BadArgument(text));
+    }
     for dataset in [Some(&args.dataset), args.failures.as_ref()]
         .into_iter()
         .flatten()

@@ -79,7 +79,7 @@ pub(crate) struct RecordArgs {
     #[arg(long)]
     pub(crate) resume: bool,
     /// Keep attempts that failed too, as a dataset of their own in this directory, a new or an empty one; each one's reason is noted. Of a
-    /// person's also those that are discarded, but not those that are done again. Open-H-Embodiment's split `failure` is made from it:
+    /// person's those that are discarded. Open-H-Embodiment's split `failure` is made from it:
     /// `trocar export open-h --failures`.
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     pub(crate) failures: Option<PathBuf>,
@@ -271,8 +271,12 @@ fn report(summary: &RecordSummary, args: &RecordArgs) {
     }
     if summary.interrupted {
         let asked = args.episodes;
+        let how = match args.failures {
+            Some(_) => "--resume in place of --failures",
+            None => "--resume",
+        };
         console::note(&format!(
-            "trocar: interrupted: {episodes} of {asked} episodes are in {out}; the same command with --resume goes on"
+            "trocar: interrupted: {episodes} of {asked} episodes are in {out}; the same command with {how} goes on"
         ));
     }
 }

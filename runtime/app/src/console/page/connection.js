@@ -67,6 +67,7 @@ export class Connection {
     if (typeof data === "string") {
       const message = JSON.parse(data);
       this.on.text(message);
+      if (message.kind === "end") this.#over = true;
       return message.kind !== "answer" && message.kind !== "problem" && message.kind !== "end";
     } else {
       const head = new DataView(data, 0, 16);

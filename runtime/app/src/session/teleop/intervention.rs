@@ -30,7 +30,8 @@ pub(crate) struct Intervention {
     to: Producer<FromHands>,
     /// Who drives, as the control thread was last sent.
     said: Driver,
-    /// Whether that was after the episode's start: before it, the hands hold the arms, which is nobody's driving.
+    /// Whether the control thread has heard who drives since the episode's start: before it, the hands hold the arms, which is nobody's
+    /// driving.
     begun: bool,
     /// What the episode may still take longer because of the hands, s.
     left_s: f64,
@@ -86,7 +87,8 @@ impl Intervention {
                 Driver::Policy => "the policy drives".to_owned(),
             });
         }
-        self.begun = begun && (self.begun || self.said == driver);
+        let driven = self.teleop.asked().map(|(driver, _)| driver);
+        self.begun = begun && (self.begun || (self.said == driver && driven == Some(driver)));
         Ok(more_s)
     }
 
@@ -100,12 +102,10 @@ impl Intervention {
         more_s
     }
 
-    /// Who drives, and where the arms were last asked to be; none before the first command since the episode's start.
+    /// Who asked the arms last, as the control thread has it, and where they were asked to be; none before the first command since the
+    /// episode's start.
     pub(crate) fn asked(&self) -> Option<(Driver, PerArm<TipTarget>)> {
-        if !self.begun {
-            return None;
-        }
-        Some((self.said, self.teleop.asked()?))
+        self.teleop.asked().filter(|_| self.begun)
     }
 
     /// What the log is to say, since the last call.

@@ -35,7 +35,7 @@ mod view;
 mod tests;
 
 use hal::{JointVector, PerArm, TimeNs, TipTarget};
-use trocar_control::OperatingState;
+use trocar_control::{OperatingState, OperatorEvent};
 use trocar_log::TickRecord;
 
 pub(crate) use clutch::Lost;
@@ -72,16 +72,46 @@ pub(crate) struct Commanded {
     /// The newest chunk that the controller was given, and the time of the tick that it was given to.
     pub(crate) sequence: u64,
     pub(crate) at: TimeNs,
+    /// Whose chunks the controller is given.
+    pub(crate) driver: Driver,
     pub(crate) arms: PerArm<ArmCommanded>,
 }
 
-impl Commanded {
-    /// What the controller commands after the tick of `record`; `given` is the newest chunk that it was given till then, and when.
-    pub(crate) fn after(record: &TickRecord, given: &mut (u64, TimeNs)) -> Self {
-        if let Some(sequence) = record.arms.first.chunk_sequence {
-            *given = (sequence, record.now);
+/// The newest chunk that the controller was given, when, and whose its chunks are.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Given {
+    sequence: u64,
+    at: TimeNs,
+    driver: Driver,
+}
+
+impl Given {
+    /// Nothing yet, as a run begins.
+    pub(crate) const fn nothing() -> Self {
+        Self {
+            sequence: 0,
+            at: TimeNs(0),
+            driver: Driver::Policy,
         }
-        let (sequence, at) = *given;
+    }
+}
+
+impl Commanded {
+    /// What the controller commands after the tick of `record`; `given` is what it was given till then.
+    pub(crate) fn after(record: &TickRecord, given: &mut Given) -> Self {
+        if let Some(sequence) = record.arms.first.chunk_sequence {
+            (given.sequence, given.at) = (sequence, record.now);
+        }
+        match record.arms.first.operator {
+            Some(OperatorEvent::TakeOver) => given.driver = Driver::Operator,
+            Some(OperatorEvent::HandBack) => given.driver = Driver::Policy,
+            Some(_) | None => {}
+        }
+        let Given {
+            sequence,
+            at,
+            driver,
+        } = *given;
         let arms = record.arms.map(|arm| ArmCommanded {
             position: arm.command.position,
             velocity: arm.command.velocity,
@@ -89,7 +119,12 @@ impl Commanded {
             target: arm.report.target,
             follows: arm.report.mode.state == OperatingState::Enabled,
         });
-        Self { sequence, at, arms }
+        Self {
+            sequence,
+            at,
+            driver,
+            arms,
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use trocar_control::kinematics::forward;
 use super::clutch::Lost;
 use super::hands::{Hands, Look, Moving};
 use super::view::rcm_from_view;
-use super::{ArmCommanded, Commanded};
+use super::{ArmCommanded, Commanded, Driver};
 use crate::session::source::STEP_NS;
 use crate::session::{SessionError, Setup};
 
@@ -109,13 +109,14 @@ impl Teleop {
         self.arms.iter().any(|arm| arm.engaged.is_some())
     }
 
-    /// Where the arms were last asked to be, or are commanded to be if they were not; none before the first command.
-    pub(super) fn asked(&self) -> Option<PerArm<TipTarget>> {
+    /// Who asked the arms last, and where they were asked to be, or are commanded to be if they were not; none before the first command.
+    pub(super) fn asked(&self) -> Option<(Driver, PerArm<TipTarget>)> {
         let commanded = self.commanded.as_ref()?;
-        Some(commanded.arms.map(|arm| {
+        let targets = commanded.arms.map(|arm| {
             let here = || TipTarget::new(&forward(&arm.position), arm.jaw);
             arm.target.unwrap_or_else(here)
-        }))
+        });
+        Some((commanded.driver, targets))
     }
 
     /// A target for each arm, for the arms measured as `seen` at its stamp; it holds for two policy steps.

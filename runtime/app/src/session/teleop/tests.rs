@@ -28,6 +28,7 @@ struct Bench {
     velocity: JointVector,
     jaw: f64,
     follows: bool,
+    driver: Driver,
 }
 
 /// A hand at `at` that is turned by `turn` (a rotation vector).
@@ -63,6 +64,7 @@ impl Bench {
             velocity: JointVector::zeros(),
             jaw: 0.4,
             follows: true,
+            driver: Driver::Policy,
         }
     }
 
@@ -91,6 +93,7 @@ impl Bench {
         self.commanded.put(Commanded {
             at: self.now,
             sequence: 0,
+            driver: self.driver,
             arms: PerArm::one(ArmCommanded {
                 position: self.joints,
                 velocity: self.velocity,
@@ -468,25 +471,38 @@ fn hands_move_nothing_outside_an_episode() {
 }
 
 /// Beside a policy the hands hold the arms until the episode's start, which is nobody's driving: no frame is by hand before the policy's
-/// first, however late the start is heard, by the hands' end or by the control thread.
+/// first, however late the start is heard, by the hands' end or by the control thread. Later, too, a frame is that of whom the control
+/// thread follows, whose target it has.
 #[test]
-fn before_its_start_an_episode_has_no_driver() {
+fn who_drives_is_whom_the_control_thread_follows_since_the_start() {
     let mut bench = Bench::new(false);
     let (to, mut control_thread) = RingBuffer::new(1);
     let mut beside = Intervention::new(&bench.setup, &bench.hands, true, to);
-    bench.command();
     let driver = |beside: &Intervention| beside.asked().map(|(driver, _)| driver);
-    assert_eq!(driver(&beside), None);
-    beside.answer(&bench.seen()).unwrap();
-    assert_eq!(driver(&beside), None, "it waits");
+    let look = |bench: &mut Bench, beside: &mut Intervention, follows| {
+        bench.driver = follows;
+        bench.command();
+        beside.answer(&bench.seen()).unwrap();
+        driver(beside)
+    };
+    assert_eq!(look(&mut bench, &mut beside, Driver::Policy), None);
+    assert_eq!(look(&mut bench, &mut beside, Driver::Operator), None);
     bench.hands.start();
     assert_eq!(driver(&beside), None, "the hands' end has not looked yet");
-    beside.answer(&bench.seen()).unwrap();
-    assert_eq!(driver(&beside), None, "the control thread is late");
+    // The control thread has not even taken what it was told first.
+    assert_eq!(look(&mut bench, &mut beside, Driver::Operator), None);
     assert_eq!(control_thread.pop().unwrap().driver, Driver::Operator);
-    beside.answer(&bench.seen()).unwrap();
-    assert_eq!(driver(&beside), Some(Driver::Policy));
+    assert_eq!(look(&mut bench, &mut beside, Driver::Operator), None);
     assert_eq!(control_thread.pop().unwrap().driver, Driver::Policy);
+    assert_eq!(
+        look(&mut bench, &mut beside, Driver::Policy),
+        Some(Driver::Policy)
+    );
+    // Whatever the hands want meanwhile.
+    assert_eq!(
+        look(&mut bench, &mut beside, Driver::Operator),
+        Some(Driver::Operator)
+    );
 }
 
 #[test]
@@ -544,6 +560,7 @@ fn latency_is_from_the_message_to_the_command() {
     bench.commanded.put(Commanded {
         at: sent.plus_ns(5 * MS),
         sequence: sequence.unwrap().first.sequence,
+        driver: Driver::Operator,
         arms,
     });
     let look = bench.hands.look_at(sent.plus_ns(6 * MS));

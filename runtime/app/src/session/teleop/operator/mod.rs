@@ -25,7 +25,7 @@ use trocar_world::rng::Rng;
 
 use super::message::HandsMessage;
 use super::view::rcm_from_view;
-use super::{CHUNK_TICKS, Commanded, Hands, Teleop, TeleopSummary};
+use super::{CHUNK_TICKS, Commanded, Given, Hands, Teleop, TeleopSummary};
 use crate::session::{SessionError, Setup};
 pub use figures::{DELAYS_MS, OperatorFigures, TREMORS_MM};
 use hand::{Moment, SimulatedHand};
@@ -50,8 +50,7 @@ pub struct SimulatedOperator {
     plan: Plan,
     arms: Vec<SimulatedHand>,
     looks: u64,
-    /// The newest chunk that the controller was given, and when.
-    given: (u64, TimeNs),
+    given: Given,
     commanded: Option<Commanded>,
     /// Whether each arm follows its hand.
     engaged: [bool; ARMS_MAX],
@@ -83,7 +82,7 @@ impl SimulatedOperator {
                 way: Vec::new(),
             },
             looks: 0,
-            given: (0, TimeNs(0)),
+            given: Given::nothing(),
             commanded: None,
             engaged: [false; ARMS_MAX],
         }
