@@ -198,7 +198,7 @@ fn an_interrupted_evaluation_writes_what_is_done() {
     assert_eq!(result["interrupted"], true);
     assert_eq!(result["trials_asked"], 100_000);
     assert_eq!(result["trials"], episodes.len());
-    assert!((2..1000).contains(&episodes.len()), "{}", episodes.len());
+    assert!((2..100).contains(&episodes.len()), "{}", episodes.len());
     // Each trial that counts has its log, and what was abandoned has none.
     let mut expected: Vec<String> = episodes
         .iter()

@@ -74,10 +74,7 @@ pub(crate) fn export(verb: &ExportVerb) -> Done {
         let text = format!("--failures {}: is the dataset itself", failures.display());
         return Err(SessionError::BadArgument(text));
     }
-    for dataset in [Some(&args.dataset), args.failures.as_ref()]
-        .into_iter()
-        .flatten()
-    {
+    for dataset in [&args.dataset].into_iter().chain(&args.failures) {
         if let (Ok(within), Ok(dataset)) = (args.out.canonicalize(), dataset.canonicalize())
             && within.starts_with(&dataset)
         {
