@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Unpacks what `make dist` made in a bare Debian root and runs the demo there as a user who may do nothing else: once from the archive, once
+# Packs once more, which must give the same bytes, and unpacks what `make dist` made in a bare Debian root and runs the demo there as a user who may do nothing else: once from the archive, once
 # installed from the packages. Needs root and a Debian mirror.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -10,6 +10,12 @@ mirror=${mirror:-http://deb.debian.org/debian}
 say() { printf 'dist_in_bare_debian: %s\n' "$*" >&2; }
 [ "$(id -u)" = 0 ] || { say 'error: needs root'; exit 1; }
 command -v debootstrap >/dev/null || apt-get install -y -qq --no-install-recommends debootstrap >/dev/null
+
+say 'packing once more: the same bytes'
+again=$(mktemp -d)
+.ci/dist "$again" >/dev/null
+cmp "$dist/SHA256SUMS" "$again/SHA256SUMS"
+rm -rf "$again"
 
 root=$(mktemp -d "${TMPDIR:-/tmp}/bare-debian.XXXXXX")
 chmod 755 "$root"

@@ -9,75 +9,80 @@ use crate::study::axis::Axis;
 use crate::study::estimate::in_words;
 use crate::study::job::Kind;
 
-/// The losses of every network's trainings, a colour a task.
+/// The losses of every network's trainings, a colour a task. A training whose losses are not kept is only counted.
 pub(super) fn training_curves(results: &Results) -> Vec<Block> {
     let study = &results.study;
-    let (mut networks, mut tasks): (Vec<&String>, Vec<&String>) = (Vec::new(), Vec::new());
-    for entry in study
-        .entries
-        .iter()
-        .filter(|entry| entry.training.is_some())
-    {
-        for (list, name) in [
-            (&mut networks, &entry.at.network),
-            (&mut tasks, &entry.at.task),
-        ] {
-            if !list.contains(&name) {
-                list.push(name);
-            }
-        }
-    }
-    let mut blocks = Vec::new();
-    for network in networks {
-        let mut seen = BTreeSet::new();
-        let mut series = Vec::new();
-        for entry in study
+    let trained = || {
+        study
             .entries
             .iter()
-            .filter(|entry| entry.at.network == *network)
-        {
-            let Some(address) = entry
-                .training
-                .as_ref()
-                .filter(|address| seen.insert((*address).clone()))
-            else {
-                continue;
-            };
-            let Some(training) = results.trainings.get(address) else {
-                continue;
-            };
-            series.push(Series {
-                name: study.title_of(Axis::Task, &entry.at.task),
-                colour: tasks
-                    .iter()
-                    .position(|task| **task == entry.at.task)
-                    .unwrap_or(0),
-                points: training
-                    .curve
-                    .iter()
-                    .map(|row| (row.step, row.loss))
-                    .collect(),
-                intervals: Vec::new(),
-            });
-        }
-        let (title, count) = (study.title_of(Axis::Network, network), series.len());
-        let plot = Plot {
-            title,
-            x: "step".to_owned(),
-            y: "loss".to_owned(),
-            logarithmic: true,
-            series,
-        };
-        let described = format!("{}: loss of {count} trainings, a colour a task", plot.title);
-        blocks.extend(plot.svg().map(|svg| Block::Plot {
-            title: described,
-            svg,
-        }));
-    }
+            .filter(|entry| entry.training.is_some())
+    };
+    let networks = each_once(trained().map(|entry| &entry.at.network));
+    let tasks = each_once(trained().map(|entry| &entry.at.task));
+    let mut blocks: Vec<Block> = networks
+        .into_iter()
+        .filter_map(|network| network_curves(results, network, &tasks))
+        .collect();
     if !blocks.is_empty() {
         blocks.insert(0, Block::Heading(2, "Training curves".to_owned()));
     }
     blocks
+}
+
+/// What comes, without repetition, in the order in which it comes first.
+fn each_once<'a>(names: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
+    let mut list = Vec::new();
+    for name in names {
+        if !list.contains(&name) {
+            list.push(name);
+        }
+    }
+    list
+}
+
+/// The losses of one network's trainings, if any are kept.
+fn network_curves(results: &Results, network: &str, tasks: &[&String]) -> Option<Block> {
+    let study = &results.study;
+    let (mut seen, mut series) = (BTreeSet::new(), Vec::new());
+    for entry in &study.entries {
+        let Some(address) = entry.training.as_ref() else {
+            continue;
+        };
+        if entry.at.network != network || !seen.insert(address) {
+            continue;
+        }
+        let kept = results.trainings.get(address).map(|made| &made.curve);
+        let Some(curve) = kept.filter(|curve| !curve.is_empty()) else {
+            continue;
+        };
+        series.push(Series {
+            name: study.title_of(Axis::Task, &entry.at.task),
+            colour: tasks
+                .iter()
+                .position(|task| **task == entry.at.task)
+                .unwrap_or(0),
+            points: curve.iter().map(|row| (row.step, row.loss)).collect(),
+            intervals: Vec::new(),
+        });
+    }
+    let count = series.len();
+    let plot = Plot {
+        title: study.title_of(Axis::Network, network),
+        x: "step".to_owned(),
+        y: "loss".to_owned(),
+        logarithmic: true,
+        series,
+    };
+    let title = format!(
+        "{}: losses, a colour a task; those of {count} of {} trainings are kept",
+        plot.title,
+        seen.len()
+    );
+    Some(Block::Plot {
+        title,
+        svg: plot.svg()?,
+    })
 }
 
 /// Time and memory, by what was made.

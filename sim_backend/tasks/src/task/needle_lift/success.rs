@@ -31,7 +31,8 @@ pub struct SuccessConfig {
     pub needle_force_n_max: f64,
     /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the simulation.
     pub needle_gain_j_max: f64,
-    /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen off, m.
+    /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen off, m: deeper than a press gets it, which is
+    /// 1.5 mm with all that the drive gives.
     pub sink_m_max: f64,
     /// How hard the ground may be pressed.
     pub press: PressLimit,
