@@ -25,7 +25,7 @@ const STRANGER_QUEUE: usize = 256;
 pub enum Tampering {
     /// Nothing.
     Pass,
-    /// Nobody gets it.
+    /// No node receives it.
     Drop,
     /// Everybody gets another one.
     Replace(Frame),
@@ -38,6 +38,7 @@ pub enum Tampering {
 /// Decides about every frame: line, time, frame.
 pub type Tamper = Box<dyn FnMut(u8, TimeNs, &Frame) -> Tampering>;
 
+/// A drive on a bus: its node, and the motor that it turns.
 struct Drive<M> {
     line: usize,
     port: usize,
@@ -46,6 +47,7 @@ struct Drive<M> {
     powered: bool,
 }
 
+/// A bus with the masters on it.
 struct Line {
     wire: Wire,
     masters: Vec<Seat>,
@@ -202,7 +204,7 @@ impl<M: Motor> Network<M> {
         master.inbox.push(Received::Trouble(trouble));
     }
 
-    /// The first master hears of `trouble` on `line`.
+    /// Reports `trouble` on `line` to the first master.
     pub fn trouble(&mut self, line: u8, trouble: Trouble) {
         if let Some(master) = self.lines[usize::from(line)].masters.first_mut() {
             master.inbox.push(Received::Trouble(trouble));

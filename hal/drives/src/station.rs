@@ -64,6 +64,7 @@ impl<M: Motor, B: Bus> Station<M, B> {
         self.take();
     }
 
+    /// From the outer bus to the drives.
     fn take(&mut self) {
         for line in 0..self.lines {
             let frames = &mut self.frames;
@@ -78,6 +79,7 @@ impl<M: Motor, B: Bus> Station<M, B> {
         }
     }
 
+    /// From the drives to the outer bus.
     fn give(&mut self) {
         for line in 0..self.lines {
             let frames = &mut self.frames;

@@ -15,6 +15,7 @@ pub enum Order {
     Priority,
 }
 
+/// A node's controller: its transmit queue, each frame with the time at which it was queued.
 #[derive(Clone, Debug)]
 struct Port {
     order: Order,
@@ -40,6 +41,7 @@ impl Port {
     }
 }
 
+/// The frame that is on the wire, and when its last bit is.
 #[derive(Clone, Copy, Debug)]
 struct Sending {
     port: usize,
@@ -163,10 +165,9 @@ impl Wire {
         });
         let (frame, port, place) = offers.clone().min_by_key(|(frame, n, _)| (frame.id, *n))?;
         // Two with the same identifier destroy each other's frames unless they say the same.
-        let collides = offers
-            .filter(|(other, n, _)| other.id == frame.id && *n != port && *other != frame)
-            .count();
-        self.collisions += u64::from(collides > 0);
+        let mut others = offers.filter(|(_, n, _)| *n != port);
+        let collides = others.any(|(other, ..)| other.id == frame.id && other != frame);
+        self.collisions += u64::from(collides);
         self.ports[port].queue.remove(place);
         let duration_ns = duration_ns(exact(&frame), self.bit_rate);
         self.busy_ns += duration_ns;

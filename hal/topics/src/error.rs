@@ -40,7 +40,7 @@ pub enum TopicError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// Somebody alive already publishes this topic.
+    /// A live publisher already has this topic.
     #[error("topic '{topic}' already has a publisher in another process or thread of this run")]
     AlreadyPublished {
         /// The topic.

@@ -46,7 +46,7 @@ impl PolicyHello {
     }
 }
 
-/// What a session says of itself before its first episode.
+/// The description that a session publishes before its first episode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
 #[type_name("trocar/session_hello/2")]

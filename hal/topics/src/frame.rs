@@ -148,24 +148,20 @@ impl FramePublisher {
     /// [`TopicError::FrameShape`] if its planes do not fit its intrinsics, and as [`Self::publish_with`].
     pub fn publish(&mut self, frame: &CameraFrame) -> Result<usize, TopicError> {
         let pixels = frame.intrinsics.pixel_count();
-        if (
+        let planes = [
             frame.colour.len(),
             frame.depth_m.len(),
             frame.instance.len(),
-        ) != (3 * pixels, pixels, pixels)
-        {
+        ];
+        if planes != [3 * pixels, pixels, pixels] {
             return Err(frame_shape(
                 &self.topic,
                 &frame.intrinsics,
                 frame.depth_m.len(),
             ));
         }
-        let header = FrameHeader::new(
-            frame.stamp,
-            frame.sequence,
-            frame.intrinsics,
-            &frame.camera_in_scene,
-        );
+        let (lens, place) = (frame.intrinsics, &frame.camera_in_scene);
+        let header = FrameHeader::new(frame.stamp, frame.sequence, lens, place);
         self.publish_with(&header, |colour, depth_m, instance| {
             colour.copy_from_slice(&frame.colour);
             depth_m.copy_from_slice(&frame.depth_m);

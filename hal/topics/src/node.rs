@@ -97,7 +97,7 @@ impl TopicNode {
     /// Frees what `process` still holds, which is about to die or has just died; `false` if it lives longer than `within`.
     ///
     /// A process that is killed is no longer its children's parent some time before the last of its threads lets go of its
-    /// locks, by which the transport knows the living from the dead: one look at that moment finds nobody dead.
+    /// locks, by which the transport knows the living from the dead: one look at that moment finds no dead node.
     pub fn remove_dying(&self, process: u32, within: Duration) -> bool {
         let tries = within.as_millis() / RETRY_PAUSE.as_millis();
         for _ in 0..=tries {
@@ -191,11 +191,8 @@ impl TopicNode {
             total_bytes: 0,
             free_bytes: 0,
         };
-        shm::check_room(
-            topic,
-            needed_bytes,
-            shm::shared_memory_space().unwrap_or(missing),
-        )?;
+        let space = shm::shared_memory_space().unwrap_or(missing);
+        shm::check_room(topic, needed_bytes, space)?;
         let mut result = create();
         if matches!(
             result,

@@ -79,14 +79,19 @@ impl Dp3Policy {
             seen: VecDeque::new(),
             seed: 0,
         };
+        policy.warm_up().map_err(torch)?;
+        Ok(policy)
+    }
+
+    /// Runs the network once on zeros: the first run allocates and selects kernels.
+    fn warm_up(&mut self) -> Result<(), TchError> {
         let nothing = Seen {
             stamp: TimeNs(0),
-            cloud: vec![[0.0; 3]; policy.cloud.points],
-            state: vec![0.0; length(policy.config.state_dim)],
+            cloud: vec![[0.0; 3]; self.cloud.points],
+            state: vec![0.0; length(self.config.state_dim)],
         };
-        let asked = Asked::about(&vec![&nothing; policy.observations()]);
-        policy.network(&asked, 0).map_err(torch)?;
-        Ok(policy)
+        let asked = Asked::about(&vec![&nothing; self.observations()]);
+        self.network(&asked, 0).map(|_| ())
     }
 
     /// The checkpoint's recipe: cameras, step, query interval.
@@ -111,15 +116,11 @@ impl Dp3Policy {
     fn network(&mut self, asked: &Asked, answer: u64) -> Result<Vec<f32>, TchError> {
         let config = &self.config;
         let shape = [1, config.n_obs_steps, -1, 3];
-        let on_device = |numbers: &[f32], shape: &[i64]| {
-            Tensor::f_from_slice(numbers)?
-                .f_view(shape)?
-                .f_to_device(self.device)
-        };
+        let device = self.device;
         tch::no_grad(|| {
-            let points = on_device(asked.points.as_flattened(), &shape)?;
+            let points = on_device(asked.points.as_flattened(), &shape, device)?;
             let states = [1, config.n_obs_steps, config.state_dim];
-            let states = on_device(&asked.states, &states)?;
+            let states = on_device(&asked.states, &states, device)?;
             let (points, state) = (self.points.apply(&points)?, self.state.apply(&states)?);
             let observation = CloudObservation {
                 points: &points,
@@ -128,7 +129,7 @@ impl Dp3Policy {
             let noise = config.start_noise(self.seed, answer)?;
             let actions = self
                 .dp3
-                .infer(&observation, &noise.f_to_device(self.device)?)?
+                .infer(&observation, &noise.f_to_device(device)?)?
                 .f_to_device(Device::Cpu)?;
             // All that is left of the horizon: the later steps bridge the time to the next answer.
             let first = config.n_obs_steps - 1;
@@ -174,6 +175,11 @@ impl Dp3Policy {
         history.reverse();
         history
     }
+}
+
+fn on_device(numbers: &[f32], shape: &[i64], device: Device) -> Result<Tensor, TchError> {
+    let numbers = Tensor::f_from_slice(numbers)?.f_view(shape)?;
+    numbers.f_to_device(device)
 }
 
 impl Policy for Dp3Policy {

@@ -57,13 +57,7 @@ pub fn area_average(bytes: &[u8], width: u32, factor: u32) -> Vec<u8> {
     for rows in bytes.chunks_exact(row_bytes * side) {
         sums.fill(0);
         for row in rows.chunks_exact(row_bytes) {
-            for (sum, block) in sums.chunks_exact_mut(3).zip(row.chunks_exact(3 * side)) {
-                for pixel in block.chunks_exact(3) {
-                    sum[0] += u32::from(pixel[0]);
-                    sum[1] += u32::from(pixel[1]);
-                    sum[2] += u32::from(pixel[2]);
-                }
-            }
+            add_row(&mut sums, row, side);
         }
         #[expect(
             clippy::cast_possible_truncation,
@@ -72,6 +66,17 @@ pub fn area_average(bytes: &[u8], width: u32, factor: u32) -> Vec<u8> {
         shrunk.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u8));
     }
     shrunk
+}
+
+/// Adds the pixels of a row to the sums of their blocks, `side` pixels wide.
+fn add_row(sums: &mut [u32], row: &[u8], side: usize) {
+    for (sum, block) in sums.chunks_exact_mut(3).zip(row.chunks_exact(3 * side)) {
+        for pixel in block.chunks_exact(3) {
+            sum[0] += u32::from(pixel[0]);
+            sum[1] += u32::from(pixel[1]);
+            sum[2] += u32::from(pixel[2]);
+        }
+    }
 }
 
 #[cfg(test)]

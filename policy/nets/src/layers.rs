@@ -119,21 +119,14 @@ impl Attention {
         heads: i64,
     ) -> Result<Self, ParameterError> {
         let zero = Init::Constant(0.0);
+        let place = |name: &str| format!("{key}.{name}");
         let in_init = Init::xavier(3 * width, width);
         let out_init = Init::xavier(width, width);
         Ok(Self {
-            in_weight: source.trainable(
-                &format!("{key}.in_proj_weight"),
-                &[3 * width, width],
-                &in_init,
-            )?,
-            in_bias: source.trainable(&format!("{key}.in_proj_bias"), &[3 * width], &zero)?,
-            out_weight: source.trainable(
-                &format!("{key}.out_proj.weight"),
-                &[width, width],
-                &out_init,
-            )?,
-            out_bias: source.trainable(&format!("{key}.out_proj.bias"), &[width], &zero)?,
+            in_weight: source.trainable(&place("in_proj_weight"), &[3 * width, width], &in_init)?,
+            in_bias: source.trainable(&place("in_proj_bias"), &[3 * width], &zero)?,
+            out_weight: source.trainable(&place("out_proj.weight"), &[width, width], &out_init)?,
+            out_bias: source.trainable(&place("out_proj.bias"), &[width], &zero)?,
             width,
             heads,
         })

@@ -35,7 +35,7 @@ impl LoadedPolicy {
         })
     }
 
-    /// What the policy says of itself: cameras, step, how often to ask it.
+    /// The policy's recipe: cameras, step, query period.
     #[must_use]
     pub fn recipe(&self) -> &Recipe {
         match self {

@@ -191,20 +191,7 @@ impl ParameterSource {
                     .f_reshape(shape)?
                     .f_to_device(*device)?
             }
-            Origin::Given(tensors) => {
-                let tensor = tensors.get(key).ok_or_else(|| ParameterError::Missing {
-                    key: key.to_owned(),
-                })?;
-                let actual = tensor.size();
-                if actual != shape {
-                    return Err(ParameterError::Shape {
-                        key: key.to_owned(),
-                        expected: shape.to_vec(),
-                        actual,
-                    });
-                }
-                tensor.shallow_clone()
-            }
+            Origin::Given(tensors) => given(tensors, key, shape)?,
         };
         self.handed_out
             .insert(key.to_owned(), tensor.shallow_clone());
@@ -229,6 +216,26 @@ impl ParameterSource {
             trainable: self.trainable,
         })
     }
+}
+
+/// The tensor `key` among those given, which must have this shape.
+fn given(
+    tensors: &BTreeMap<String, Tensor>,
+    key: &str,
+    shape: &[i64],
+) -> Result<Tensor, ParameterError> {
+    let tensor = tensors.get(key).ok_or_else(|| ParameterError::Missing {
+        key: key.to_owned(),
+    })?;
+    let actual = tensor.size();
+    if actual == shape {
+        return Ok(tensor.shallow_clone());
+    }
+    Err(ParameterError::Shape {
+        key: key.to_owned(),
+        expected: shape.to_vec(),
+        actual,
+    })
 }
 
 /// All tensors of a network by key.

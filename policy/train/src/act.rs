@@ -35,7 +35,7 @@ impl Trainer {
     /// Trains the network `config` on `dataset` from a fresh start.
     ///
     /// Cameras of the configuration must be the dataset's, in its order, and its widths those of the dataset's arms.
-    /// `watch` hears of decoded frames and of every row of the loss curve.
+    /// `watch` gets the number of decoded frames and every row of the loss curve.
     ///
     /// # Errors
     /// [`TrainError`].
@@ -100,6 +100,7 @@ impl Trainer {
     }
 }
 
+/// The dataset must have the network's cameras, in the same order.
 fn check_cameras(config: &ActConfig, dataset: &Dataset) -> Result<(), TrainError> {
     let recorded: Vec<String> = dataset
         .camera_names()

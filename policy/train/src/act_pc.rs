@@ -142,6 +142,7 @@ struct Batch {
 }
 
 impl Run {
+    /// The frames `indices` `(batch)` of all that is on the device.
     fn batch(&self, indices: &Tensor) -> Result<Batch, TchError> {
         let of = |tensor: &Tensor| tensor.f_index_select(0, indices);
         Ok(Batch {

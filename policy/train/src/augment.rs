@@ -49,21 +49,24 @@ pub(super) fn shifted(
     if options.shift_px == 0 {
         return Ok(images);
     }
-    // Where the pixels of a row or of a column come from.
-    let source = |column: i64, side: i64| {
-        let place = Tensor::f_arange(side, (Kind::Int64, images.device()))?;
-        let moved = drawn.f_narrow(1, column, 1)?.f_to_kind(Kind::Int64)?;
-        place.f_sub(&moved)?.f_clamp(0, side - 1)
-    };
-    let rows = source(0, high)?.f_mul_scalar(wide)?.f_unsqueeze(-1)?;
+    let rows = sources(drawn, 0, high)?
+        .f_mul_scalar(wide)?
+        .f_unsqueeze(-1)?;
     let pixels = rows
-        .f_add(&source(1, wide)?.f_unsqueeze(1)?)?
+        .f_add(&sources(drawn, 1, wide)?.f_unsqueeze(1)?)?
         .f_view([batch, 1, high * wide, 1])?
         .f_expand([batch, cameras, high * wide, channels], false)?;
     images
         .f_view([batch, cameras, high * wide, channels])?
         .f_gather(2, &pixels, false)?
         .f_view(size.as_slice())
+}
+
+/// Where the pixels along a side of `side` pixels come from, by the `column` of what was drawn: `(batch, side)`.
+fn sources(drawn: &Tensor, column: i64, side: i64) -> Result<Tensor, TchError> {
+    let place = Tensor::f_arange(side, (Kind::Int64, drawn.device()))?;
+    let moved = drawn.f_narrow(1, column, 1)?.f_to_kind(Kind::Int64)?;
+    place.f_sub(&moved)?.f_clamp(0, side - 1)
 }
 
 /// `images` `(batch, cameras, 3, height, width)`, normalised, each frame with its own draw's brightness and contrast.
@@ -113,17 +116,22 @@ pub(super) fn points(
         points = points.f_add(&noise)?;
     }
     if may_hide && options.point_dropout > 0.0 {
-        let size = points.size();
-        let [clouds @ .., _] = size.as_slice() else {
-            return Err(TchError::Shape(format!("points of shape {size:?}")));
-        };
-        let hidden = Tensor::f_rand(clouds, (Kind::Float, points.device()))?
-            .f_lt(options.point_dropout)?
-            .f_unsqueeze(-1)?;
-        let first = points.f_narrow(-2, 0, 1)?;
-        points = first.f_where_self(&hidden, &points)?;
+        points = partly_hidden(&points, options.point_dropout)?;
     }
     Ok(points)
+}
+
+/// `points` `(.., points, 3)`, of which this share is replaced by the first of its cloud.
+fn partly_hidden(points: &Tensor, share: f64) -> Result<Tensor, TchError> {
+    let size = points.size();
+    let [clouds @ .., _] = size.as_slice() else {
+        return Err(TchError::Shape(format!("points of shape {size:?}")));
+    };
+    let hidden = Tensor::f_rand(clouds, (Kind::Float, points.device()))?
+        .f_lt(share)?
+        .f_unsqueeze(-1)?;
+    let first = points.f_narrow(-2, 0, 1)?;
+    first.f_where_self(&hidden, points)
 }
 
 /// A whole number from 0 to twice `reach`.

@@ -24,9 +24,13 @@ const BLOCK_FRAMES: usize = 128;
 pub(super) struct CloudSet {
     /// By frame.
     pub(super) clouds: Vec<Vec<Point>>,
+    /// States and chunks, by frame.
     pub(super) rows: Vec<ChunkRow>,
+    /// Statistics of the trained frames.
     pub(super) statistics: CloudStatistics,
+    /// Frames that are trained on.
     pub(super) trained: Vec<usize>,
+    /// Frames of the held-out episodes.
     pub(super) held_out: Vec<usize>,
     /// First frame of each frame's episode.
     pub(super) episode_start: Vec<usize>,
@@ -153,6 +157,7 @@ fn check_seen(dataset: &Dataset, clouds: &[Vec<Point>]) -> Result<usize, TrainEr
     )))
 }
 
+/// The least and the greatest of each coordinate, m.
 fn limits<'a>(points: impl Iterator<Item = &'a Point>) -> [Point; 2] {
     let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for point in points {
@@ -204,6 +209,7 @@ fn clouds(
     Ok(clouds)
 }
 
+/// The point cloud that all cameras show in one frame.
 fn cloud_of(
     dataset: &Dataset,
     cloud: &CloudRecipe,

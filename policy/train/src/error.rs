@@ -38,7 +38,7 @@ pub enum TrainError {
         /// Its value.
         value: f64,
     },
-    /// Somebody wanted it to stop; the state was kept.
+    /// It was cancelled; the state was kept.
     #[error("stopped after step {step}")]
     Stopped {
         /// Steps taken.

@@ -16,7 +16,9 @@ use trocar_nets::by_name::{AdamW, Moved, copy_all};
 use trocar_nets::dp3::MovingAverage;
 use trocar_nets::parameters::Parameters;
 
+/// Decay of the second moment, as in the paper.
 const BETA_2: f64 = 0.999;
+/// Added to the root of the second moment.
 const EPS: f64 = 1e-8;
 
 /// On an accelerator every parameter begins at a multiple of so many elements: kernels read 16 bytes at once, or are slow.
@@ -474,6 +476,7 @@ fn flatten(tensor: &Tensor) -> Result<Tensor, TchError> {
     }
 }
 
+/// The parameter of this shape from the place `start` of all.
 fn unflatten(flat: &Tensor, start: i64, shape: &[i64]) -> Result<Tensor, TchError> {
     let part = flat.f_narrow(0, start, shape.iter().product())?;
     if let &[outputs, inputs, high, wide] = shape {

@@ -37,14 +37,17 @@ struct Shape {
 }
 
 impl Shape {
+    /// Bytes of one camera's image, three a pixel.
     fn image_bytes(self) -> usize {
         length(3 * self.high * self.wide)
     }
 
+    /// Bytes of all cameras' images of a frame.
     fn frame_bytes(self) -> usize {
         self.image_bytes() * self.cameras
     }
 
+    /// The tensor's shape `(frames, cameras, height, width, 3)`.
     fn of(self, frames: usize) -> [i64; 5] {
         let (frames, cameras) = (dimension(frames), dimension(self.cameras));
         [frames, cameras, self.high, self.wide, 3]
@@ -202,6 +205,7 @@ impl Drop for Stream {
     }
 }
 
+/// The images of `frames`, in that order, out of those of all.
 fn gather(bytes: &[u8], shape: Shape, frames: &[usize]) -> Vec<u8> {
     let size = shape.frame_bytes();
     let mut batch = Vec::with_capacity(frames.len() * size);
@@ -246,6 +250,7 @@ fn decode(
     Ok(bytes)
 }
 
+/// Decodes an image into `into`, averaged down to `[width, height]`.
 fn read_image(
     dataset: &Dataset,
     frame: usize,

@@ -14,6 +14,7 @@ pub(super) struct FrameOrder {
 }
 
 impl FrameOrder {
+    /// An order of `frames` that `seed` draws.
     pub(super) fn new(frames: &[usize], seed: u64) -> Self {
         Self {
             frames: frames.to_vec(),
@@ -37,6 +38,7 @@ impl FrameOrder {
             .collect()
     }
 
+    /// The frames in the order of the pass `number` over all of them.
     fn round(&mut self, number: u64) -> &[usize] {
         if self.round.as_ref().is_none_or(|(of, _)| *of != number) {
             let mut random = SplitMix64::named(&format!("train/round/{number}"), self.seed);
@@ -52,7 +54,7 @@ impl FrameOrder {
 mod tests {
     use super::FrameOrder;
 
-    /// A step can be asked for alone.
+    /// A step is computed without those before it.
     #[test]
     fn each_epoch_has_each_frame_once_from_any_step_on() {
         let frames: Vec<usize> = (10..17).collect();

@@ -103,6 +103,12 @@ impl TrainOptions {
     /// What makes these options impossible, if anything does.
     #[must_use]
     pub fn defect(&self) -> Option<String> {
+        self.range_defect().or_else(|| self.count_defect())
+    }
+
+    /// The first number outside of its range: keys, values, least and greatest.
+    fn range_defect(&self) -> Option<String> {
+        let of = &self.augmentation;
         let ranges = [
             ("lr", self.lr, 0.0, 1.0),
             ("lr_backbone", self.lr_backbone, 0.0, 1.0),
@@ -112,42 +118,20 @@ impl TrainOptions {
             ("ema_decay", self.ema_decay, 0.0, 0.999_999),
             ("ema_power", self.ema_power, 0.0, 1.0),
             ("validation_share", self.validation_share, 0.0, 0.9),
-            (
-                "augmentation.brightness",
-                self.augmentation.brightness,
-                0.0,
-                1.0,
-            ),
-            (
-                "augmentation.contrast",
-                self.augmentation.contrast,
-                0.0,
-                1.0,
-            ),
-            (
-                "augmentation.state_noise",
-                self.augmentation.state_noise,
-                0.0,
-                1.0,
-            ),
-            (
-                "augmentation.point_noise_m",
-                self.augmentation.point_noise_m,
-                0.0,
-                0.1,
-            ),
-            (
-                "augmentation.point_dropout",
-                self.augmentation.point_dropout,
-                0.0,
-                0.9,
-            ),
+            ("augmentation.brightness", of.brightness, 0.0, 1.0),
+            ("augmentation.contrast", of.contrast, 0.0, 1.0),
+            ("augmentation.state_noise", of.state_noise, 0.0, 1.0),
+            ("augmentation.point_noise_m", of.point_noise_m, 0.0, 0.1),
+            ("augmentation.point_dropout", of.point_dropout, 0.0, 0.9),
         ];
-        for (name, value, low, high) in ranges {
-            if !(low..=high).contains(&value) {
-                return Some(format!("{name} = {value} is outside [{low}, {high}]"));
-            }
-        }
+        let mut ranges = ranges.into_iter();
+        let outside = ranges.find(|(_, value, low, high)| !(*low..=*high).contains(value));
+        outside
+            .map(|(name, value, low, high)| format!("{name} = {value} is outside [{low}, {high}]"))
+    }
+
+    /// The first count that is too large or zero.
+    fn count_defect(&self) -> Option<String> {
         for (name, value, most) in [
             ("batch", self.batch, BATCH_MAX),
             ("threads", self.threads, THREADS_MAX),

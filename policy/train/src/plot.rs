@@ -4,6 +4,7 @@ use core::fmt::Write as _;
 
 use super::curve::{CurveRow, LossCurve};
 
+/// Size of the picture and of its margins, px.
 const WIDTH: f64 = 860.0;
 const HEIGHT: f64 = 480.0;
 const LEFT: f64 = 70.0;
@@ -21,6 +22,7 @@ struct Series {
     of: fn(&CurveRow) -> Option<f64>,
 }
 
+/// The curves, in the order of the legend.
 const SERIES: [Series; 4] = [
     Series {
         name: "loss",
@@ -52,6 +54,7 @@ struct Axes {
 }
 
 impl Axes {
+    /// The axes that show all of `curve`.
     #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
     fn of(curve: &LossCurve) -> Self {
         let values = SERIES.iter().flat_map(|series| points(curve, series));
@@ -70,10 +73,12 @@ impl Axes {
         }
     }
 
+    /// Where a step is, px from the left.
     fn x(&self, step: f64) -> f64 {
         LEFT + (WIDTH - LEFT - RIGHT) * step / self.steps
     }
 
+    /// Where a loss is, px from the top; the scale is logarithmic.
     fn y(&self, value: f64) -> f64 {
         let [low, high] = self.decades;
         let share = (value.log10() - low) / (high - low);

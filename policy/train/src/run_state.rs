@@ -14,6 +14,7 @@ use super::TrainError;
 use super::curve::{CurveRow, LossCurve};
 use trocar_nets::dimension::dimension;
 
+/// Keys of what is stored beside parameters and moments.
 const STEP: &str = "step";
 const CURVE: &str = "curve";
 const ABOUT: &str = "about";
@@ -32,6 +33,7 @@ pub struct RunState {
     pub about: String,
     /// What must be the same in the run that goes on, as JSON.
     pub(super) run: String,
+    /// The loss curve so far.
     pub(super) curve: LossCurve,
     /// Losses since the last row of the curve, `(steps, 4)`.
     pub(super) since_row: Option<Tensor>,
@@ -136,6 +138,7 @@ impl RunState {
         TrainError::State(format!("{}: {reason}", self.file.display()))
     }
 
+    /// Everything as tensors by key; texts as their bytes.
     fn all(&self) -> Result<BTreeMap<String, Tensor>, TchError> {
         let mut all = BTreeMap::new();
         for (key, tensor) in &self.tensors {
@@ -242,6 +245,7 @@ fn tensor_of(curve: &LossCurve) -> Result<Tensor, TchError> {
     clippy::cast_sign_loss,
     reason = "a step was stored"
 )]
+/// The loss curve out of its tensor `(rows, 7)`.
 fn curve_of(tensor: &Tensor) -> Result<LossCurve, TchError> {
     let numbers = Vec::<f64>::try_from(&tensor.f_reshape([-1])?)?;
     let (rows, _) = numbers.as_chunks::<COLUMNS>();

@@ -51,7 +51,7 @@ pub struct SegmenterTraining {
     pub device: Device,
 }
 
-/// Steps whose mean loss is told at a time.
+/// Steps over which the reported loss is averaged.
 const LOSS_EVERY: u64 = 20;
 
 impl SegmenterTraining {
@@ -79,11 +79,11 @@ impl SegmenterTraining {
         }
     }
 
-    /// Trains a network of `config` on `scans`; `watch` is told the step and the mean loss since it was last told, and says whether to go
+    /// Trains a network of `config` on `scans`; `watch` gets the step and the mean loss since its last call, and says whether to go
     /// on: if not, the network is what it is by then.
     ///
     /// # Errors
-    /// [`TrainError`]: impossible options, no scan, one smaller than a window, a loss that is no number.
+    /// [`TrainError`]: impossible options, no scan, one smaller than a window, a loss that is not finite.
     pub fn run(
         &self,
         config: &UNetConfig,

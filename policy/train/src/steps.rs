@@ -34,9 +34,13 @@ pub(super) trait Learner {
 
 /// What a step minimises, and its parts.
 pub(super) struct Losses<'a> {
+    /// The loss, a scalar.
     pub(super) total: Tensor,
+    /// Error of the actions.
     pub(super) l1: Tensor,
+    /// Divergence of the latent from the prior.
     pub(super) kl: Tensor,
+    /// The backward pass below what the library differentiates; none if that is all.
     pub(super) below: Option<Below<'a>>,
 }
 
@@ -51,7 +55,9 @@ impl Losses<'_> {
 /// The frames trained on, and those held out.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Split<'a> {
+    /// Frames that are drawn from.
     pub(super) trained: &'a [usize],
+    /// Frames of the held-out episodes, for the validation error.
     pub(super) held_out: &'a [usize],
 }
 
@@ -60,8 +66,11 @@ const TERMS: [(usize, &str); 4] = [(1, "l1"), (2, "kl"), (0, "loss"), (3, "gradi
 
 /// A run on its way through the steps.
 pub(super) struct Steps<'a> {
+    /// What computes the loss.
     pub(super) learner: &'a dyn Learner,
+    /// Rates, lengths and the seed.
     pub(super) options: &'a TrainOptions,
+    /// The frames.
     pub(super) split: Split<'a>,
     /// What must be the same when the run goes on another time, as JSON.
     pub(super) run: String,
@@ -73,7 +82,7 @@ pub(super) struct Steps<'a> {
 type SoFar<'a> = dyn Fn(&FlatParameters, LossCurve) -> Result<AnyTrained, TrainError> + 'a;
 
 impl Steps<'_> {
-    /// Takes the steps that are left, all of them or those after `from`'s; `watch` hears of every row of the loss curve
+    /// Takes the steps that are left, all of them or those after `from`'s; `watch` gets every row of the loss curve
     /// and keeps the state.
     pub(super) fn take(
         &self,
@@ -211,6 +220,7 @@ impl Steps<'_> {
         })
     }
 
+    /// What the run is at after `step` steps, to be written and gone on from.
     fn state(
         &self,
         step: u64,

@@ -87,19 +87,24 @@ impl AnyTrained {
 
 /// A dataset that is ready to be drawn from.
 pub(super) struct Prepared<'a, S> {
+    /// The frames.
     pub(super) split: Split<'a>,
     /// How point clouds were made; none of images.
     pub(super) cloud: Option<&'a CloudRecipe>,
     /// Of state and action, among the `statistics`.
     pub(super) features: [&'a Statistics; 2],
+    /// Statistics of inputs and outputs, for the checkpoint.
     pub(super) statistics: &'a S,
 }
 
 /// Trains networks on one device.
 #[derive(Debug)]
 pub struct Trainer {
+    /// Where it trains.
     pub(super) device: Device,
+    /// The state of the run that goes on, if one does.
     pub(super) from: Option<RunState>,
+    /// Imported weights of the backbone, if there are any.
     pub(super) backbone: Option<BackboneWeights>,
 }
 

@@ -17,6 +17,7 @@ use trocar_nets::normalise::{ACTION_STD_MIN, STATE_STD_MIN, Statistics};
 
 /// All frames, ready to be drawn from.
 pub(super) struct TrainingSet {
+    /// The images, on the device or in the host's memory.
     pub(super) images: FrameImages,
     /// `(frames, arms * 7)`, normalised.
     states: Tensor,
@@ -24,17 +25,24 @@ pub(super) struct TrainingSet {
     chunks: Tensor,
     /// `(frames, steps)`, true past the end of the episode.
     is_pad: Tensor,
+    /// Statistics of the trained frames.
     pub(super) statistics: FeatureStatistics,
+    /// Frames that are trained on.
     pub(super) trained: Vec<usize>,
+    /// Frames of the held-out episodes.
     pub(super) held_out: Vec<usize>,
 }
 
 /// A batch on the training device.
 #[derive(Debug)]
 pub(super) struct Batch {
+    /// `(batch, cameras, height, width, 3)`, bytes.
     pub(super) images: Tensor,
+    /// `(batch, arms * 7)`, normalised.
     pub(super) state: Tensor,
+    /// `(batch, steps, arms * 7)`, normalised.
     pub(super) actions: Tensor,
+    /// `(batch, steps)`, true past the end of the episode.
     pub(super) is_pad: Tensor,
 }
 
@@ -151,10 +159,8 @@ pub(super) fn chunk_of(
     before: usize,
     steps: usize,
 ) -> ChunkRow {
-    let arms = 0..dataset.arms();
-    let tips: Vec<Pose> = arms
-        .map(|arm| pose_from_numbers(&dataset.tip_pose(frame, arm)))
-        .collect();
+    let tip = |arm| pose_from_numbers(&dataset.tip_pose(frame, arm));
+    let tips: Vec<Pose> = (0..dataset.arms()).map(tip).collect();
     let mut actions = Vec::with_capacity(steps * tips.len());
     for later in frame..frame + steps {
         let commanded = later.saturating_sub(before);

@@ -230,6 +230,18 @@ fn in_chunk_or_last(chunk: &Chunk, at: TimeNs) -> Option<TipTarget> {
     })
 }
 
+/// The weights of the two ends of an arc whose angle has this cosine, at `fraction` of it; a line's where they are nearly parallel.
+fn arc_weights(cosine: f64, fraction: f64) -> (f64, f64) {
+    if cosine > NEARLY_PARALLEL {
+        return (1.0 - fraction, fraction);
+    }
+    let angle = cosine.acos();
+    (
+        (angle * (1.0 - fraction)).sin() / angle.sin(),
+        (angle * fraction).sin() / angle.sin(),
+    )
+}
+
 /// The target at `fraction` of the way, the tip moving evenly.
 fn between(from: &TipTarget, to: &TipTarget, fraction: f64) -> TipTarget {
     let mix = |a: f64, b: f64| a + (b - a) * fraction;
@@ -240,15 +252,7 @@ fn between(from: &TipTarget, to: &TipTarget, fraction: f64) -> TipTarget {
     } else {
         (1.0, cosine)
     };
-    let (keep, take) = if cosine > NEARLY_PARALLEL {
-        (1.0 - fraction, fraction)
-    } else {
-        let angle = cosine.acos();
-        (
-            (angle * (1.0 - fraction)).sin() / angle.sin(),
-            (angle * fraction).sin() / angle.sin(),
-        )
-    };
+    let (keep, take) = arc_weights(cosine, fraction);
     let mixed: [f64; 4] =
         core::array::from_fn(|i| keep * from.rotation_xyzw[i] + near * take * to.rotation_xyzw[i]);
     let norm = dot(&mixed, &mixed).sqrt();

@@ -60,6 +60,17 @@ pub(super) struct Plan {
     pub(super) pace: f64,
 }
 
+impl Plan {
+    /// Of an arm that is not enabled.
+    const AT_REST: Self = Self {
+        gate: None,
+        target: None,
+        nominal: [0.0; AXES],
+        follows: false,
+        pace: 1.0,
+    };
+}
+
 impl ArmControl {
     pub(super) fn new(config: &ControlConfig) -> Self {
         Self {
@@ -192,27 +203,16 @@ impl ArmControl {
     /// Accepts the chunk and computes the nominal velocity towards its target; an arm that is not enabled comes to rest.
     pub(super) fn plan(&mut self, input: &TickInput<'_>, stance: &Stance) -> Plan {
         if self.state != OperatingState::Enabled {
-            return Plan {
-                gate: None,
-                target: None,
-                nominal: [0.0; AXES],
-                follows: false,
-                pace: 1.0,
-            };
+            return Plan::AT_REST;
         }
         let gate = input.chunk.and_then(|chunk| self.take(chunk, input.now));
         let pace = self.pace(input.now);
         let targets = self.targets(input.now);
         let ahead_s = TimeNs(self.lookahead_ns).seconds();
         let nominal = targets.and_then(|(target, ahead)| {
-            self.tracking.velocity(
-                &self.commanded,
-                &stance.frames,
-                &target,
-                &ahead,
-                ahead_s,
-                pace,
-            )
+            let (state, frames) = (&self.commanded, &stance.frames);
+            self.tracking
+                .velocity(state, frames, &target, &ahead, ahead_s, pace)
         });
         Plan {
             gate,

@@ -119,6 +119,19 @@ impl Block {
     }
 }
 
+/// A unit vector across both `a` and `b`; of parallel ones across the longer.
+fn perpendicular_to_both(a: &Vector3<f64>, b: &Vector3<f64>) -> Vector3<f64> {
+    let across = a.cross(b);
+    let sine = across.norm();
+    if sine > TOUCHING_M * a.norm() * b.norm() {
+        across / sine
+    } else if a.norm_squared() > b.norm_squared() {
+        perpendicular(a)
+    } else {
+        perpendicular(b)
+    }
+}
+
 /// Where two segments are nearest to one another.
 #[must_use]
 pub fn between_segments(
@@ -131,17 +144,7 @@ pub fn between_segments(
     let (a, b) = (a_to_m - a_from_m, b_to_m - b_from_m);
     let away = a_from_m - b_from_m + a * fraction_a - b * fraction_b;
     let distance_m = away.norm();
-    let normal = direction(&away, distance_m, || {
-        let across = a.cross(&b);
-        let sine = across.norm();
-        if sine > TOUCHING_M * a.norm() * b.norm() {
-            across / sine
-        } else if a.norm_squared() > b.norm_squared() {
-            perpendicular(&a)
-        } else {
-            perpendicular(&b)
-        }
-    });
+    let normal = direction(&away, distance_m, || perpendicular_to_both(&a, &b));
     Between {
         fraction_a,
         fraction_b,

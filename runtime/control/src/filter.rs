@@ -161,6 +161,16 @@ impl Filter {
         corrections.map(f64::sqrt)
     }
 
+    /// The `nominal` velocities with the solution added.
+    fn changed(&self, nominal: &Velocities) -> Velocities {
+        let mut velocity = *nominal;
+        let changes = self.solution.iter().zip(&self.scale);
+        for (velocity, (change, scale)) in velocity.iter_mut().zip(changes) {
+            *velocity += change * scale;
+        }
+        velocity
+    }
+
     /// The solution and the number of iterations; `None` if there is none that can be trusted.
     fn solve(
         &mut self,
@@ -172,22 +182,17 @@ impl Filter {
         self.set_cost(stances);
         self.set_rows(nominal, rows);
         self.set_cones(nominal, rows);
-        let solution = self
-            .solver
-            .solve(
-                &self.problem.hessian,
-                &self.problem.rows,
-                &self.problem.cones,
-                self.iterations_max,
-                self.problem.variables,
-            )
-            .ok()?;
+        let Problem {
+            hessian,
+            rows: linear,
+            cones,
+            variables,
+        } = &self.problem;
+        let solver = &mut self.solver;
+        let solution = solver.solve(hessian, linear, cones, self.iterations_max, *variables);
+        let solution = solution.ok()?;
         self.solution = solution.change;
-        let mut velocity = *nominal;
-        let changes = solution.change.iter().zip(&self.scale);
-        for (velocity, (change, scale)) in velocity.iter_mut().zip(changes) {
-            *velocity += change * scale;
-        }
+        let velocity = self.changed(nominal);
         let trusted = rows.hold(&velocity, TRUST_TOLERANCE);
         trusted.then_some((velocity, solution.iterations))
     }
@@ -233,6 +238,11 @@ impl Filter {
                 });
             }
         }
+        self.add_geometry_rows(nominal, rows);
+    }
+
+    /// The rows of boundaries in space, scaled to the tip's speed limit.
+    fn add_geometry_rows(&mut self, nominal: &Velocities, rows: &Rows) {
         for row in &rows.geometry {
             let mut coefficients = row.coefficients;
             for (coefficient, scale) in coefficients.iter_mut().zip(&self.scale) {

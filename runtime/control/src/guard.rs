@@ -4,7 +4,7 @@
 //! arm it holds a jerk-limited stop and how much of it has been played; the arm is commanded to be there. At every moment
 //!
 //! 1. along what is left of each held stop every joint range, velocity, acceleration, clearance and tip speed is kept, with
-//!    bounds for what lies between the samples (`bounds`);
+//!    bounds for what lies between the samples (`bounds`, `way`);
 //! 2. of two arms, no point of what is left of the one's stop is nearer to any point of what is left of the other's than they
 //!    may be, at whatever times they are there (`pair`).
 //!
@@ -38,11 +38,14 @@ mod arm;
 mod bounds;
 mod clearance;
 mod floor;
+mod gaps;
 mod measured;
 mod pair;
 #[cfg(test)]
 pub(crate) mod planted;
+mod sample;
 mod sweep;
+mod way;
 
 use super::config::{ControlConfig, FORBIDDEN_MAX};
 use super::deviation::Deviation;
@@ -50,10 +53,11 @@ use super::instrument::Instrument;
 use super::motion::MotionState;
 use super::stop::Stop;
 use arm::ArmGuard;
+use gaps::Gaps;
 use hal::ARMS_MAX;
 use measured::gap_allowances;
 pub use measured::{MeasuredClearance, beyond};
-use pair::{Gaps, Pair};
+use pair::Pair;
 #[cfg(test)]
 use planted::PlantedGuardFault;
 

@@ -70,9 +70,9 @@ pub enum OperatorEvent {
         /// The share, percent; more than 100 counts as 100.
         percent: u8,
     },
-    /// The operator's hands drive from now on: what the policy has asked for counts no more. This changes no state.
+    /// The operator's hands drive from now on: the policy's chunks count no more. This changes no state.
     TakeOver,
-    /// The policy drives again: what the hands have asked for counts no more, nor does what answers an observation from before. This
+    /// The policy drives again: the targets of the hands count no more, nor does what answers an observation from before. This
     /// changes no state.
     HandBack,
 }

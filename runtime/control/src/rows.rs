@@ -104,6 +104,15 @@ impl Rows {
         }
     }
 
+    /// The bounds of each axis of `arm`, whose variables begin at `first`.
+    fn bound_axes(&mut self, config: &ControlConfig, first: usize, arm: &RowInput<'_>) {
+        let low = self.low.iter_mut().skip(first);
+        let high = self.high.iter_mut().skip(first);
+        for ((low, high), bounds) in low.zip(high).zip(bounds::all(config, arm)) {
+            (*low, *high) = bounds;
+        }
+    }
+
     /// The rows of `arms`, one or two.
     pub fn fill(&mut self, config: &ControlConfig, arms: &[RowInput<'_>]) {
         self.geometry.clear();
@@ -114,11 +123,7 @@ impl Rows {
         for (index, (arm, geometry)) in arms.iter().zip(&config.arms).enumerate() {
             let first = AXES * index;
             if arm.moves {
-                let low = self.low.iter_mut().skip(first);
-                let high = self.high.iter_mut().skip(first);
-                for ((low, high), bounds) in low.zip(high).zip(bounds::all(config, arm)) {
-                    (*low, *high) = bounds;
-                }
+                self.bound_axes(config, first, arm);
             }
             geometry::workspace(self, config, first, arm, &geometry.workspace);
             for region in &geometry.forbidden {

@@ -76,6 +76,20 @@ impl Smoother {
         if !(state.is_finite() && target_velocity.iter().all(|v| v.is_finite())) {
             return None;
         }
+        self.load(state, target_velocity);
+        let result = self.ruckig.calculate(&self.input, &mut self.trajectory);
+        if !matches!(result, Ok(RuckigResult::Working | RuckigResult::Finished)) {
+            return None;
+        }
+        let mut next = self.sample();
+        for (axis, lowering) in self.axes.iter().enumerate() {
+            lowering.keep_range(axis, state, &mut next, self.tick_s);
+        }
+        next.is_finite().then_some(next)
+    }
+
+    /// Makes `state` and `target_velocity`, brought within the limits, Ruckig's input.
+    fn load(&mut self, state: &MotionState, target_velocity: &Axes) {
         for (axis, (lowering, &wanted)) in self.axes.iter_mut().zip(target_velocity).enumerate() {
             let (velocity, acceleration) = (state.velocity[axis], state.acceleration[axis]);
             let limit = lowering.limits().velocity;
@@ -87,15 +101,6 @@ impl Smoother {
             self.input.max_acceleration[axis] = lowering.limits().acceleration;
             self.input.max_jerk[axis] = lowering.jerk(velocity, acceleration, target);
         }
-        let result = self.ruckig.calculate(&self.input, &mut self.trajectory);
-        if !matches!(result, Ok(RuckigResult::Working | RuckigResult::Finished)) {
-            return None;
-        }
-        let mut next = self.sample();
-        for (axis, lowering) in self.axes.iter().enumerate() {
-            lowering.keep_range(axis, state, &mut next, self.tick_s);
-        }
-        next.is_finite().then_some(next)
     }
 
     /// One tick into the trajectory.

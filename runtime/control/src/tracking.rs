@@ -42,6 +42,14 @@ impl Tracking {
         }
     }
 
+    /// The velocity that brings the jaw to `target`, rad/s.
+    fn jaw_velocity(&self, state: &MotionState, target: &TipTarget, pace: f64) -> f64 {
+        let jaw = target.jaw.clamp(self.axes[JAW].low, self.axes[JAW].high);
+        let jaw_max = BELOW_LIMITS * self.axes[JAW].velocity * pace;
+        self.approach(JAW, jaw - state.position[JAW])
+            .clamp(-jaw_max, jaw_max)
+    }
+
     /// The velocity of each axis that leads from `state` to `target`, which will be at `ahead` in `ahead_s`.
     ///
     /// Joint and tip speeds are scaled together to within `pace` times their limits, so that the path keeps its direction. `None`
@@ -64,18 +72,10 @@ impl Tracking {
             wanted[joint] = own + self.approach(joint, joints[joint] - state.position[joint]);
         }
         let wanted = wanted * self.scale(&wanted, frames, pace);
-        let jaw = target.jaw.clamp(self.axes[JAW].low, self.axes[JAW].high);
-        let jaw_max = BELOW_LIMITS * self.axes[JAW].velocity * pace;
-        let jaw_velocity = self
-            .approach(JAW, jaw - state.position[JAW])
-            .clamp(-jaw_max, jaw_max);
-        Some(core::array::from_fn(|axis| {
-            if axis == JAW {
-                jaw_velocity
-            } else {
-                wanted[axis]
-            }
-        }))
+        let jaw_velocity = self.jaw_velocity(state, target, pace);
+        let mut velocity = [jaw_velocity; AXES];
+        velocity[..JOINT_COUNT].copy_from_slice(wanted.as_slice());
+        Some(velocity)
     }
 
     fn joints(&self, target: &TipTarget, near_roll: f64) -> Option<JointVector> {

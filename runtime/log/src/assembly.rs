@@ -16,8 +16,8 @@ use super::header::{self, Closing, LogCounts, RunHeader, RunOutcome};
 use super::joints;
 use super::json::{ChunkMessage, TickMessage, TimingMessage};
 use super::messages::{JointStates, Log};
-use super::read::{LogEnd, Step};
 use super::record::{LoggedArm, LoggedTick, TickTiming};
+use super::step::{LogEnd, Step};
 use super::topic::Topic;
 use trocar_control::OperatorEvent;
 
@@ -41,6 +41,22 @@ pub(super) struct Facts {
     /// Whether the run goes on in another file.
     goes_on: bool,
     altered: bool,
+}
+
+impl Facts {
+    /// Why a file that could be read to its end is not the whole run, if so.
+    fn incomplete(&self) -> Option<String> {
+        let left_out = self.header.left_out;
+        if self.counts.is_none() {
+            Some("the data end, but the record of how the run ended is missing".to_owned())
+        } else if left_out > 0 {
+            Some(format!("its bound left out the first {left_out} ticks"))
+        } else if self.goes_on {
+            Some("the run goes on in another file: its log was bounded".to_owned())
+        } else {
+            None
+        }
+    }
 }
 
 /// The messages of the tick that is not complete yet, and what is known of the whole.
@@ -87,17 +103,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Visitor for Assembly
             Topic::Chunk => parts.chunk = Some(json(data)?),
             Topic::Safety => fill(&mut parts.report, data.into())?,
             Topic::Timing => fill(&mut self.timing, json(data)?)?,
-            Topic::Tick => {
-                let message: TickMessage = json(data)?;
-                if message.now_ns != header.log_time {
-                    return Err(format!("tick {} has another time", message.tick));
-                }
-                if arm == 0 {
-                    self.complete(&message)?;
-                } else {
-                    self.keep_second(message)?;
-                }
-            }
+            Topic::Tick => self.tick(arm, header.log_time, json(data)?)?,
             // For people; not part of what the controller was given or answered.
             Topic::Events => {
                 let text = protobuf::<Log>(data)?.message;
@@ -158,30 +164,38 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
                 missing: "the metadata record `run`".to_owned(),
             });
         }
-        let counts = self.facts.counts;
-        let unclosed = || "the data end, but the record of how the run ended is missing".to_owned();
-        let continued = || "the run goes on in another file: its log was bounded".to_owned();
-        let left_out = self.facts.header.left_out;
-        let whole = cut.is_none() && counts.is_some();
-        let bounded = || format!("its bound left out the first {left_out} ticks");
-        let handed_over = counts.map_or(0, |counts| {
-            counts.ticks.saturating_add(counts.ticks_dropped)
-        });
+        let whole = cut.is_none() && self.facts.counts.is_some();
         Ok(LogEnd {
             outcome: self.facts.outcome.take(),
             input_hash: self.facts.input_hash,
-            dropped_at_end: if self.facts.goes_on {
-                0
-            } else {
-                handed_over.saturating_sub(self.next_record)
-            },
-            cut: cut
-                .or_else(|| counts.is_none().then(unclosed))
-                .or_else(|| (left_out > 0).then(bounded))
-                .or_else(|| self.facts.goes_on.then(continued)),
-            bounded: whole && (left_out > 0 || self.facts.goes_on),
+            dropped_at_end: self.dropped_at_end(),
+            cut: cut.or_else(|| self.facts.incomplete()),
+            bounded: whole && (self.facts.header.left_out > 0 || self.facts.goes_on),
             altered: self.facts.altered,
         })
+    }
+
+    /// Ticks that the logger dropped after the last one of the file.
+    fn dropped_at_end(&self) -> u64 {
+        if self.facts.goes_on {
+            return 0;
+        }
+        let handed_over = self.facts.counts.map_or(0, |counts| {
+            counts.ticks.saturating_add(counts.ticks_dropped)
+        });
+        handed_over.saturating_sub(self.next_record)
+    }
+
+    /// Takes the tick message of the arm `arm`, logged at `at_ns`: the first arm's completes the tick.
+    fn tick(&mut self, arm: usize, at_ns: u64, message: TickMessage) -> Result<(), String> {
+        if message.now_ns != at_ns {
+            return Err(format!("tick {} has another time", message.tick));
+        }
+        if arm == 0 {
+            self.complete(&message)
+        } else {
+            self.keep_second(message)
+        }
     }
 
     /// Puts a tick together from the messages since the one before.
@@ -198,13 +212,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
         let second = self.second.take();
         let mut second_chunk = None;
         if let Some((beside, _)) = &second {
-            let key = |message: &TickMessage| (message.record, message.tick, message.now_ns);
-            if key(beside) != key(message) {
-                return Err(format!(
-                    "tick {} comes with the second arm of tick {}",
-                    message.tick, beside.tick
-                ));
-            }
+            check_same_tick(message, beside)?;
             let (chunk, dropped) = self.take_chunk(1, beside)?;
             second_chunk = chunk;
             chunk_dropped |= dropped;
@@ -280,6 +288,18 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
     }
 }
 
+/// The second arm's message `beside` must be of the tick that the first arm's `message` completes.
+fn check_same_tick(message: &TickMessage, beside: &TickMessage) -> Result<(), String> {
+    let key = |message: &TickMessage| (message.record, message.tick, message.now_ns);
+    if key(beside) == key(message) {
+        return Ok(());
+    }
+    let (tick, other) = (message.tick, beside.tick);
+    Err(format!(
+        "tick {tick} comes with the second arm of tick {other}"
+    ))
+}
+
 /// Keeps a message of which a tick has one.
 fn fill<T>(slot: &mut Option<T>, message: T) -> Result<(), String> {
     match slot.replace(message) {
@@ -312,6 +332,7 @@ impl ArmParts {
     }
 }
 
+/// A message that belongs to each tick is missing.
 fn lacks(message: &TickMessage, what: &str) -> String {
     format!("tick {} lacks its {what}", message.tick)
 }

@@ -4,7 +4,7 @@ use hal::{CameraFrame, Intrinsics, Pose, TimeNs};
 use image::{ExtendedColorType, ImageEncoder, codecs::png};
 
 use super::error::LogError;
-use super::live::{SCENE, transform};
+use super::frames::{SCENE, transform};
 use super::messages::{
     CameraCalibration, CompressedImage, FrameTransforms, PoseInFrame, Timestamp,
 };
@@ -20,8 +20,11 @@ pub(super) struct FrameItem {
 
 /// A frame ready to be written.
 pub(super) struct Encoded {
+    /// The colour image as PNG.
     pub(super) image: CompressedImage,
+    /// The lens.
     pub(super) lens: CameraCalibration,
+    /// Where the camera was in the scene.
     pub(super) pose: PoseInFrame,
     /// The same among the frames.
     pub(super) place: FrameTransforms,
@@ -51,6 +54,7 @@ impl FrameItem {
         &self.name
     }
 
+    /// When the image was taken.
     pub(super) const fn stamp(&self) -> TimeNs {
         self.stamp
     }

@@ -119,6 +119,7 @@ impl<'a, R: Read> Input<'a, R> {
         }
     }
 
+    /// The system refuses to read.
     fn unreadable(&self, source: io::Error) -> LogError {
         LogError::Read {
             path: self.path.to_owned(),
@@ -126,6 +127,7 @@ impl<'a, R: Read> Input<'a, R> {
         }
     }
 
+    /// Bytes of the file have changed.
     fn damaged(&self, reason: String) -> LogError {
         LogError::Damaged {
             path: self.path.to_owned(),
@@ -232,12 +234,7 @@ fn open_chunk(
     bytes: &[u8],
     mut visit: impl FnMut(Record<'_>) -> Result<(), String>,
 ) -> Result<(), String> {
-    let options = LinearReaderOptions::default()
-        .with_skip_start_magic(true)
-        .with_skip_end_magic(true)
-        .with_prevalidate_chunk_crcs(true)
-        .with_record_length_limit(RECORD_BYTES_MAX);
-    let mut reader = LinearReader::new_with_options(options);
+    let mut reader = LinearReader::new_with_options(record_options());
     let mut rest = bytes;
     while let Some(event) = reader.next_event() {
         match event.map_err(|error| error.to_string())? {
@@ -255,6 +252,16 @@ fn open_chunk(
     Ok(())
 }
 
+/// For records outside of a file, checksums first.
+fn record_options() -> LinearReaderOptions {
+    LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(RECORD_BYTES_MAX)
+}
+
+/// Hands on a message with the name of its channel, and remembers channels.
 fn message_or_channel(
     record: Record<'_>,
     topics: &mut BTreeMap<u16, String>,

@@ -13,6 +13,9 @@ use super::messages::{FIELDS, Fields, LogLevel};
 /// The one message that is not Foxglove's.
 const TIMESTAMP: &str = "Timestamp";
 
+/// The file that it is from.
+const TIMESTAMP_FILE: &str = "google/protobuf/timestamp.proto";
+
 /// The descriptors of every protobuf message in the log, encoded; each message's schema carries all of them.
 pub(super) fn file_descriptor_set() -> Vec<u8> {
     let (timestamp, mut messages): (Vec<_>, Vec<_>) = FIELDS
@@ -25,20 +28,10 @@ pub(super) fn file_descriptor_set() -> Vec<u8> {
     {
         log.enum_type.push(levels());
     }
-    let timestamp = FileDescriptorProto {
-        name: Some("google/protobuf/timestamp.proto".to_owned()),
-        package: Some("google.protobuf".to_owned()),
-        message_type: timestamp,
-        syntax: Some("proto3".to_owned()),
-        ..FileDescriptorProto::default()
-    };
+    let timestamp = file(TIMESTAMP_FILE, "google.protobuf", timestamp);
     let foxglove = FileDescriptorProto {
-        name: Some("foxglove/messages.proto".to_owned()),
-        package: Some("foxglove".to_owned()),
-        dependency: vec!["google/protobuf/timestamp.proto".to_owned()],
-        message_type: messages,
-        syntax: Some("proto3".to_owned()),
-        ..FileDescriptorProto::default()
+        dependency: vec![TIMESTAMP_FILE.to_owned()],
+        ..file("foxglove/messages.proto", "foxglove", messages)
     };
     FileDescriptorSet {
         file: vec![timestamp, foxglove],
@@ -46,6 +39,18 @@ pub(super) fn file_descriptor_set() -> Vec<u8> {
     .encode_to_vec()
 }
 
+/// The file `name` of a protobuf package, without dependencies.
+fn file(name: &str, package: &str, messages: Vec<DescriptorProto>) -> FileDescriptorProto {
+    FileDescriptorProto {
+        name: Some(name.to_owned()),
+        package: Some(package.to_owned()),
+        message_type: messages,
+        syntax: Some("proto3".to_owned()),
+        ..FileDescriptorProto::default()
+    }
+}
+
+/// The enumeration of `foxglove.Log`.
 fn levels() -> EnumDescriptorProto {
     let levels = (0..).map_while(|number| LogLevel::try_from(number).ok());
     let value = levels.map(|level| EnumValueDescriptorProto {
@@ -60,6 +65,7 @@ fn levels() -> EnumDescriptorProto {
     }
 }
 
+/// The descriptor of a message; optional fields are one-ofs of their own, as `proto3` has them.
 fn message(name: &str, fields: Fields) -> DescriptorProto {
     let mut message = DescriptorProto {
         name: Some(name.to_owned()),

@@ -9,54 +9,32 @@ use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::Duration;
 
-use hal::{Chunk, TimeNs};
+use hal::TimeNs;
 use rtrb::Consumer;
 
 use super::bound::Bound;
-use super::camera::FrameItem;
 use super::error::LogError;
 use super::happened::Happened;
 use super::header::{Closing, LogCounts, RunOutcome};
-use super::record::TickRecord;
-use super::recorder::Level;
+use super::item::{ChunkItem, SideItem, TickItem};
+use super::level::Level;
 use super::writer::LogWriter;
-use hal::PerArm;
 use trocar_control::InputHash;
 
 /// Pause of the writer thread when it has caught up.
 const IDLE: Duration = Duration::from_millis(2);
 
-/// A tick on its way.
-pub(super) struct TickItem {
-    pub(super) record: u64,
-    /// The record of each arm's chunk.
-    pub(super) chunk_records: PerArm<Option<u64>>,
-    pub(super) tick: TickRecord,
-}
-
-/// A chunk on its way.
-pub(super) struct ChunkItem {
-    pub(super) record: u64,
-    pub(super) arm: usize,
-    pub(super) chunk: Chunk,
-}
-
-/// An event or a frame on its way.
-pub(super) enum SideItem {
-    Event {
-        at: TimeNs,
-        level: Level,
-        text: String,
-    },
-    Frame(Box<FrameItem>),
-}
-
 /// What all ends of the queues know.
 pub(super) struct Shared {
+    /// Whether the writer thread is to end once the queues are empty.
     pub(super) stop: AtomicBool,
+    /// Ticks that found the queue full.
     pub(super) ticks_dropped: AtomicU64,
+    /// Chunks that found the queue full.
     pub(super) chunks_dropped: AtomicU64,
+    /// Camera frames that found the queue full.
     pub(super) frames_dropped: AtomicU64,
+    /// Events that found the queue full.
     pub(super) events_dropped: AtomicU64,
     /// Hash of all inputs that were handed over, dropped ones included.
     pub(super) input_hash: AtomicU64,
@@ -82,15 +60,19 @@ pub(super) struct Drain {
     pub(super) ticks: Consumer<TickItem>,
     pub(super) chunks: Consumer<ChunkItem>,
     pub(super) side: Consumer<SideItem>,
+    /// The outcome, sent when the run ends.
     pub(super) outcome: Receiver<RunOutcome>,
     pub(super) shared: Arc<Shared>,
     pub(super) counts: LogCounts,
+    /// What was reported of each arm.
     pub(super) happened: Happened,
     /// When the newest tick was.
     pub(super) now: TimeNs,
+    /// The first failure; nothing is written after it.
     pub(super) failure: Option<LogError>,
     /// Called at the first failure.
     pub(super) on_failure: OnFailure,
+    /// The bound of the file's size, if it has one.
     pub(super) bound: Option<Bound>,
 }
 
@@ -132,8 +114,9 @@ impl Drain {
             && Arc::strong_count(&self.shared) == 1
     }
 
-    fn write_tick(&mut self, item: &TickItem) {
-        // Chunks of ticks that were dropped come out here as well: they are written, under their own number.
+    /// Writes the chunks up to those of `item`. Chunks of ticks that were dropped come out here as well: they are written, under their
+    /// own number.
+    fn write_chunks(&mut self, item: &TickItem) {
         let newest = item.chunk_records.iter().copied().flatten().max();
         while let Some(wanted) = newest
             && let Ok(head) = self.chunks.peek().map(|head| head.record)
@@ -145,6 +128,11 @@ impl Drain {
                 self.note(result);
             }
         }
+    }
+
+    /// Writes a tick with its chunks and events, and begins the next file where the bound is reached.
+    fn write_tick(&mut self, item: &TickItem) {
+        self.write_chunks(item);
         self.now = item.tick.now;
         for (level, text) in self.happened.since(&item.tick) {
             let result = self.writer.event(item.tick.now, level, text);
@@ -196,6 +184,7 @@ impl Drain {
         }
     }
 
+    /// Writes an event or a frame.
     fn write_side(&mut self, item: SideItem) {
         match item {
             SideItem::Event { at, level, text } => {
@@ -221,6 +210,7 @@ impl Drain {
         }
     }
 
+    /// Reports and keeps the first failure.
     fn fail(&mut self, error: LogError) {
         if self.failure.is_none() {
             (self.on_failure)(&error);
@@ -228,6 +218,7 @@ impl Drain {
         }
     }
 
+    /// Writes the outcome and closes the file.
     fn close(mut self) -> Result<LogCounts, LogError> {
         let outcome = self.outcome.try_recv().ok();
         if let Some(RunOutcome { reason, .. }) = &outcome {

@@ -2,6 +2,7 @@
 
 use core::fmt;
 
+use hal::TipTarget;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -10,6 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Exact(pub(super) f64);
 
+/// What the text of a NaN begins with.
 const NAN: &str = "nan:";
 
 impl Serialize for Exact {
@@ -58,6 +60,12 @@ impl Visitor<'_> for ExactVisitor {
             .map(Exact)
             .ok_or_else(|| E::invalid_value(serde::de::Unexpected::Str(text), &self))
     }
+}
+
+/// A target as position x, y, z, quaternion x, y, z, w, jaw.
+pub(super) fn numbers(target: &TipTarget) -> [Exact; 8] {
+    let ([x, y, z], [qx, qy, qz, qw]) = (target.position_m, target.rotation_xyzw);
+    [x, y, z, qx, qy, qz, qw, target.jaw].map(Exact)
 }
 
 #[cfg(test)]

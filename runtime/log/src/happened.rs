@@ -3,8 +3,8 @@
 use hal::{ARM_NAMES, ARMS_MAX};
 use trocar_control::{Fault, OperatingState, OperatorEvent};
 
+use super::level::Level;
 use super::record::TickRecord;
-use super::recorder::Level;
 
 /// What was said of each arm.
 #[derive(Debug)]

@@ -72,6 +72,7 @@ pub struct LogCounts {
     pub events_dropped: u64,
 }
 
+/// Names of the metadata records.
 pub(super) const RUN: &str = "run";
 pub(super) const VERSIONS: &str = "versions";
 pub(super) const CONFIGURATION: &str = "configuration";
@@ -79,6 +80,7 @@ pub(super) const OUTCOME: &str = "outcome";
 
 type Map = BTreeMap<String, String>;
 
+/// The whole number at `key`; none if it is missing or no number.
 fn number(map: &Map, key: &str) -> Option<u64> {
     map.get(key)?.parse().ok()
 }
@@ -141,6 +143,7 @@ impl RunHeader {
     }
 }
 
+/// Keys of [`LogCounts`] in the closing record, in the order of its values.
 const COUNT_KEYS: [&str; 7] = [
     "ticks",
     "chunks",
@@ -174,9 +177,11 @@ impl LogCounts {
 /// The closing metadata record: the outcome, if the run had one, what was written, and what the controller was given.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Closing {
+    /// How the run ended; none if it was not closed with an outcome.
     pub(super) outcome: Option<RunOutcome>,
     /// Whether the run goes on in another file: counts and hash are those of a moment, of which this one may lack the last ticks.
     pub(super) goes_on: bool,
+    /// What was written and dropped.
     pub(super) counts: LogCounts,
     /// Hash over all inputs of the controller.
     pub(super) input_hash: u64,
@@ -194,6 +199,7 @@ pub(super) fn contents_after(before: &Contents, map: &Map) -> String {
     contents.value()
 }
 
+/// Further keys of the closing record.
 const INPUT_HASH: &str = "input_hash";
 const GOES_ON: &str = "goes_on";
 const CONTENTS: &str = "contents_sha256";

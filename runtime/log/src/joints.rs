@@ -5,6 +5,7 @@ use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, TimeNs};
 
 use super::messages::{JointState, JointStates, Timestamp};
 
+/// Names of the jaw's joints: measured and commanded.
 const JAW: &str = "jaw";
 const JAW_SETPOINT: &str = "jaw_setpoint";
 
@@ -60,6 +61,7 @@ impl JointMessages {
     }
 }
 
+/// Joints of these names without values.
 fn named(names: &[&str]) -> JointStates {
     let joints = names.iter().map(|name| JointState {
         name: (*name).to_owned(),
@@ -107,6 +109,7 @@ fn stamp(message: &JointStates) -> Option<TimeNs> {
     message.timestamp?.time()
 }
 
+/// A number of each joint, rad or m; none if a joint is missing or has another name.
 fn vector(
     message: &JointStates,
     value: impl Fn(&JointState) -> Option<f64>,

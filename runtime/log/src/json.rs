@@ -4,10 +4,18 @@ use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{ArmError, Chunk, TimeNs, TipTarget};
 use serde::{Deserialize, Serialize};
 
-use super::exact::Exact;
+use super::exact::{Exact, numbers};
 use super::record::TickRecord;
-use super::safety::numbers;
 use trocar_control::OperatorEvent;
+
+/// A message of the log as JSON.
+#[expect(
+    clippy::expect_used,
+    reason = "numbers, texts and lists always have a JSON form; an empty message would be a false record"
+)]
+pub(super) fn encoded(message: &impl Serialize) -> Vec<u8> {
+    serde_json::to_vec(message).expect("a message has a JSON form")
+}
 
 /// `/policy/chunk`.
 #[derive(Debug, Serialize, Deserialize)]
@@ -65,8 +73,11 @@ impl ChunkMessage {
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct TimingMessage {
     pub(super) tick: u64,
+    /// Since the tick before in the log, ns.
     pub(super) period_ns: u64,
+    /// Wake-up later than planned, ns.
     pub(super) wake_ns: u64,
+    /// Time spent in the controller, ns.
     pub(super) compute_ns: u64,
 }
 
@@ -87,16 +98,22 @@ impl TimingMessage {
 pub(super) struct TickMessage {
     pub(super) record: u64,
     pub(super) tick: u64,
+    /// Time of the tick.
     pub(super) now_ns: u64,
+    /// Why nothing was measured.
     pub(super) error: Option<ErrorMessage>,
+    /// The operator's event of this tick.
     pub(super) operator: Option<OperatorMessage>,
+    /// The chunk that the arm was given.
     pub(super) chunk: Option<ChunkRef>,
+    /// Whether the drives were commanded to hold torque.
     pub(super) enabled: bool,
 }
 
 /// Which chunk a tick was given.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct ChunkRef {
+    /// The policy's own number of the chunk.
     pub(super) sequence: u64,
     /// Number of the chunk's own message; `None` if the queue was full.
     pub(super) record: Option<u64>,

@@ -1,38 +1,24 @@
 //! The log's topics for whoever looks on, while the run goes on or at its log: channels with their schemas, and messages one by one.
 
-use hal::{ARMS_MAX, Intrinsics, Pose, TimeNs};
+use hal::{Intrinsics, Pose, TimeNs};
 use prost::Message;
 
 use super::camera;
+use super::frames::{RCM_FRAMES, measured_tip, of_arms, transform};
 use super::joints::JointMessages;
-use super::json::TimingMessage;
+use super::json::{TimingMessage, encoded};
+use super::level::Level;
 use super::messages::{
-    CompressedImage, FrameTransform, FrameTransforms, JointState, JointStates, Log, ModelPrimitive,
-    SceneEntity, SceneUpdate, Timestamp, Vector3,
+    CompressedImage, FrameTransforms, JointState, JointStates, ModelPrimitive, SceneEntity,
+    SceneUpdate, Timestamp, Vector3,
 };
 use super::record::TickRecord;
-use super::recorder::Level;
 use super::safety::SafetyMessage;
-use super::topic::{Schema, Topic};
-use super::writer::{RCM_FRAMES, measured_tip};
-use crate::verify::tip_in_rcm;
+use super::topic::{Schema, Topic, pose_topic};
 
+pub use super::frames::SCENE;
 pub use super::happened::Happened;
-
-/// The frame that everything else is in.
-pub const SCENE: &str = "scene";
-
-/// The topic of shapes.
-pub const SHAPES: &str = "/scene";
-
-/// The topic of frames.
-pub const TRANSFORMS: &str = "/tf";
-
-/// The topic of what happens, in words.
-pub const EVENTS: &str = "/events";
-
-/// Frames of the tips.
-const TIP_FRAMES: [&str; ARMS_MAX] = ["psm1_tip", "psm2_tip"];
+pub use super::topic::{EVENTS, SHAPES, TRANSFORMS, camera_of, image_topic, lens_topic};
 
 /// A topic, and how its messages are encoded.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -106,6 +92,7 @@ pub fn of_log(arms: usize, cameras: &[String]) -> Vec<Channel> {
     channels
 }
 
+/// Channels of `topics` for so many arms, then image and lens of each camera.
 fn channels(topics: &[Topic], arms: usize, cameras: &[String]) -> Vec<Channel> {
     let names = topics.iter().flat_map(|topic| {
         let names = topic.names().iter().take(arms);
@@ -127,44 +114,10 @@ fn with_shapes(mut channels: Vec<Channel>) -> Vec<Channel> {
     channels
 }
 
-/// The topic of a camera's images.
-#[must_use]
-pub fn image_topic(camera: &str) -> String {
-    format!("/camera/{camera}")
-}
-
-/// The camera whose images `topic` has, if it has a camera's.
-#[must_use]
-pub fn camera_of(topic: &str) -> Option<&str> {
-    let camera = topic.strip_prefix("/camera/")?;
-    (!camera.contains('/')).then_some(camera)
-}
-
-/// The topic of a camera's lens.
-#[must_use]
-pub fn lens_topic(camera: &str) -> String {
-    format!("/camera/{camera}/calibration")
-}
-
-/// The topic of where a camera is.
-pub(super) fn pose_topic(camera: &str) -> String {
-    format!("/camera/{camera}/pose")
-}
-
 /// What `/events` says.
 #[must_use]
 pub fn event(at: TimeNs, level: Level, text: &str) -> Vec<u8> {
-    line(at, level, text.to_owned()).encode_to_vec()
-}
-
-pub(super) fn line(at: TimeNs, level: Level, text: String) -> Log {
-    Log {
-        timestamp: Some(Timestamp::new(at)),
-        level: level.number(),
-        message: text,
-        name: "trocar".to_owned(),
-        ..Log::default()
-    }
+    level.line(at, text.to_owned()).encode_to_vec()
 }
 
 /// An axis of drives: its name, where it is and where it is wanted, rad or m, as far as that is known.
@@ -177,16 +130,9 @@ pub fn axes<'a>(
     arm: usize,
     axes: impl Iterator<Item = Axis<'a>> + Clone,
 ) -> Vec<(&'static str, Vec<u8>)> {
-    let joints = |position: fn(Axis<'a>) -> Option<f64>| JointStates {
-        timestamp: Some(Timestamp::new(at)),
-        joints: axes
-            .clone()
-            .map(|axis| JointState {
-                name: axis.0.to_owned(),
-                position: position(axis),
-                ..JointState::default()
-            })
-            .collect(),
+    let joints = |position: fn(Axis<'a>) -> Option<f64>| {
+        let positions = axes.clone().map(|axis| (axis.0, position(axis)));
+        joint_states(at, positions)
     };
     let messages = [
         (Topic::MeasuredJs, joints(|(_, position, _)| position)),
@@ -199,12 +145,28 @@ pub fn axes<'a>(
     named.collect()
 }
 
+/// Joints by name and position, rad or m, as far as that is known.
+fn joint_states<'a>(
+    at: TimeNs,
+    positions: impl Iterator<Item = (&'a str, Option<f64>)>,
+) -> JointStates {
+    let joints = positions.map(|(name, position)| JointState {
+        name: name.to_owned(),
+        position,
+        ..JointState::default()
+    });
+    JointStates {
+        timestamp: Some(Timestamp::new(at)),
+        joints: joints.collect(),
+    }
+}
+
 /// What `tick` says of the safety of each arm, with its topic.
 pub fn safety(tick: &TickRecord) -> impl Iterator<Item = (&'static str, Vec<u8>)> {
     let arms = tick.arms.iter().zip(Topic::Safety.names());
     arms.map(|(arm, name)| {
         let safety = SafetyMessage::new(tick.tick, &arm.report);
-        (*name, serde_json::to_vec(&safety).unwrap_or_default())
+        (*name, encoded(&safety))
     })
 }
 
@@ -217,6 +179,18 @@ pub fn tick(
     rcms_in_scene: &[Pose],
 ) -> Vec<(&'static str, Vec<u8>)> {
     let mut messages = Vec::new();
+    add_arms(tick, &mut messages);
+    messages.extend(safety(tick));
+    let timing = TimingMessage::new(tick, previous);
+    let timing = encoded(&timing);
+    messages.extend(Topic::Timing.names().first().map(|name| (*name, timing)));
+    let transforms = of_arms(tick, rcms_in_scene).encode_to_vec();
+    messages.push((TRANSFORMS, transforms));
+    messages
+}
+
+/// Adds measurement and set-point of each arm to `messages`.
+fn add_arms(tick: &TickRecord, messages: &mut Vec<(&'static str, Vec<u8>)>) {
     let mut joints = JointMessages::new();
     for (index, arm) in tick.arms.iter().enumerate() {
         let mut add = |topic: Topic, bytes: Vec<u8>| {
@@ -235,13 +209,6 @@ pub fn tick(
         add(Topic::SetpointJs, joints.setpoint.encode_to_vec());
         add(Topic::Jaw, joints.jaw.encode_to_vec());
     }
-    messages.extend(safety(tick));
-    let timing = TimingMessage::new(tick, previous);
-    let timing = serde_json::to_vec(&timing).unwrap_or_default();
-    messages.extend(Topic::Timing.names().first().map(|name| (*name, timing)));
-    let transforms = of_arms(tick, rcms_in_scene).encode_to_vec();
-    messages.push((TRANSFORMS, transforms));
-    messages
 }
 
 /// Where frames are in the scene at `at`.
@@ -250,35 +217,6 @@ pub fn transforms<'a>(at: TimeNs, frames: impl Iterator<Item = (&'a str, Pose)>)
     let transforms = frames.map(|(name, pose)| transform(at, (SCENE, name), &pose));
     let transforms = transforms.collect();
     FrameTransforms { transforms }.encode_to_vec()
-}
-
-/// Where the remote centres are in the scene, as far as that is known, and the measured tips from there.
-pub(super) fn of_arms(tick: &TickRecord, rcms_in_scene: &[Pose]) -> FrameTransforms {
-    let mut transforms = Vec::new();
-    for (index, arm) in tick.arms.iter().enumerate() {
-        let (Some(rcm), Some(tip)) = (RCM_FRAMES.get(index), TIP_FRAMES.get(index)) else {
-            continue;
-        };
-        if let Some(pose) = rcms_in_scene.get(index) {
-            transforms.push(transform(tick.now, (SCENE, rcm), pose));
-        }
-        if let Some(state) = arm.measured.ok().filter(hal::ArmState::is_finite) {
-            let pose = tip_in_rcm(&state.position);
-            transforms.push(transform(tick.now, (rcm, tip), &pose));
-        }
-    }
-    FrameTransforms { transforms }
-}
-
-pub(super) fn transform(at: TimeNs, (parent, child): (&str, &str), pose: &Pose) -> FrameTransform {
-    let pose = super::messages::Pose::from(pose);
-    FrameTransform {
-        timestamp: Some(Timestamp::new(at)),
-        parent_frame_id: parent.to_owned(),
-        child_frame_id: child.to_owned(),
-        translation: pose.position,
-        rotation: pose.orientation,
-    }
 }
 
 /// An image of `camera`, compressed as `format` says (`jpeg` or `png`).

@@ -11,6 +11,7 @@ use super::assembly::{Assembly, Event, Facts};
 use super::error::LogError;
 use super::header::{LogCounts, RunHeader, RunOutcome};
 use super::record::LoggedTick;
+use super::step::{LogEnd, Step};
 
 /// A log in memory: 1 kB a tick. [`read_steps`] reads one of any length.
 #[derive(Clone, Debug, Default)]
@@ -52,38 +53,6 @@ pub enum Loss {
         /// The tick that was given it.
         tick: u64,
     },
-}
-
-/// One tick of a log with all that belongs to it.
-#[derive(Clone, Copy, Debug)]
-pub struct Step<'a> {
-    /// What the controller was given and answered.
-    pub tick: &'a LoggedTick,
-    /// The chunk that each arm was given.
-    pub chunks: PerArm<Option<&'a Chunk>>,
-    /// Each arm's safety report, the JSON of its message.
-    pub reports: PerArm<Option<&'a [u8]>>,
-    /// Ticks just before it that the logger dropped.
-    pub dropped_before: u64,
-    /// Whether the logger dropped a chunk that it was given.
-    pub chunk_dropped: bool,
-}
-
-/// What is known at the end of a log.
-#[derive(Clone, Debug, Default)]
-pub struct LogEnd {
-    /// How the run ended; `None` if the log was not closed properly.
-    pub outcome: Option<RunOutcome>,
-    /// Hash over everything that the controller was given, taken while it ran; `None` if the file was cut.
-    pub input_hash: Option<u64>,
-    /// Ticks that the logger dropped after the last one that it wrote.
-    pub dropped_at_end: u64,
-    /// Why the file ends before its end, if it does.
-    pub cut: Option<String>,
-    /// Whether that is its own bound alone: all that the bound kept is there.
-    pub bounded: bool,
-    /// Whether the log is not what the run wrote: something was changed, put in or taken away.
-    pub altered: bool,
 }
 
 /// Reads the log at `path` tick by tick, up to the cut if it was cut: each tick goes to `each` with the run's header. No more than a tick
@@ -160,23 +129,29 @@ impl RunLog {
             Ok(())
         });
         let end = assembly.read(path, input)?;
-        let Facts { header, counts, .. } = assembly.facts;
+        let facts = assembly.facts;
         if end.dropped_at_end > 0 {
             log.losses.push(Loss::Ticks {
                 position: log.ticks.len(),
                 count: end.dropped_at_end,
             });
         }
-        log.header = header;
-        log.counts = counts;
-        log.outcome = end.outcome;
-        log.input_hash = end.input_hash;
-        log.cut = end.cut;
-        log.bounded = end.bounded;
-        log.altered = end.altered;
+        log.close(facts, end);
         Ok(log)
     }
 
+    /// Keeps what is known at the end.
+    fn close(&mut self, facts: Facts, end: LogEnd) {
+        self.header = facts.header;
+        self.counts = facts.counts;
+        self.outcome = end.outcome;
+        self.input_hash = end.input_hash;
+        self.cut = end.cut;
+        self.bounded = end.bounded;
+        self.altered = end.altered;
+    }
+
+    /// Adds a tick with all that belongs to it.
     fn keep(&mut self, step: &Step<'_>) {
         let position = self.ticks.len();
         if step.dropped_before > 0 {

@@ -17,11 +17,12 @@ use rtrb::{Producer, PushError, RingBuffer};
 
 use super::bound::Bound;
 use super::camera::FrameItem;
-use super::drain::{ChunkItem, Drain, OnFailure, Shared, SideItem, TickItem};
+use super::drain::{Drain, OnFailure, Shared};
 use super::error::LogError;
 use super::happened::Happened;
 use super::header::{LogCounts, RunHeader, RunOutcome};
-use super::messages::LogLevel;
+use super::item::{ChunkItem, SideItem, TickItem};
+use super::level::Level;
 use super::record::TickRecord;
 use super::ring::pre_faulted_queue;
 use super::writer::LogWriter;
@@ -56,28 +57,6 @@ impl Writing {
             pressure,
             on_failure: Box::new(|_| ()),
             bytes_max: None,
-        }
-    }
-}
-
-/// How bad an event is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Level {
-    /// Worth knowing.
-    Info,
-    /// Worth a look.
-    Warning,
-    /// Something failed.
-    Error,
-}
-
-impl Level {
-    /// The number of the level in `foxglove.Log`.
-    pub(super) const fn number(self) -> i32 {
-        match self {
-            Self::Info => LogLevel::Info as i32,
-            Self::Warning => LogLevel::Warning as i32,
-            Self::Error => LogLevel::Error as i32,
         }
     }
 }

@@ -1,11 +1,10 @@
 //! The controller's report in JSON, for people and plots; a replay recomputes it and compares.
 
-use hal::TipTarget;
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use super::exact::Exact;
-use super::json::ErrorMessage;
+use super::exact::{Exact, numbers};
+use super::json::{ErrorMessage, encoded};
 use trocar_control::{Fault, QpOutcome, TickReport};
 
 /// `/safety`.
@@ -25,6 +24,7 @@ pub(super) struct SafetyMessage {
     fault: Option<FaultMessage>,
 }
 
+/// As [`Fault`], with numbers that JSON can hold.
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "snake_case")]
 enum FaultMessage {
@@ -53,20 +53,24 @@ impl SafetyMessage {
             correction: Exact(report.correction),
             guard_intervened: report.guard_intervened,
             target: report.target.map(|target| numbers(&target)),
-            fault: report.fault.map(|fault| match fault {
-                Fault::MeasurementNotFinite => FaultMessage::MeasurementNotFinite,
-                Fault::MeasurementOutOfRange { axis, value } => {
-                    FaultMessage::MeasurementOutOfRange {
-                        axis,
-                        value: Exact(value),
-                    }
-                }
-                Fault::Arm(error) => FaultMessage::Arm(error.into()),
-                Fault::TrackingError { tip_m, turn_rad } => FaultMessage::TrackingError {
-                    tip_m: Exact(tip_m),
-                    turn_rad: Exact(turn_rad),
-                },
-            }),
+            fault: report.fault.map(FaultMessage::from),
+        }
+    }
+}
+
+impl From<Fault> for FaultMessage {
+    fn from(fault: Fault) -> Self {
+        match fault {
+            Fault::MeasurementNotFinite => Self::MeasurementNotFinite,
+            Fault::MeasurementOutOfRange { axis, value } => Self::MeasurementOutOfRange {
+                axis,
+                value: Exact(value),
+            },
+            Fault::Arm(error) => Self::Arm(error.into()),
+            Fault::TrackingError { tip_m, turn_rad } => Self::TrackingError {
+                tip_m: Exact(tip_m),
+                turn_rad: Exact(turn_rad),
+            },
         }
     }
 }
@@ -81,7 +85,7 @@ pub(super) fn difference(
     report: &TickReport,
 ) -> Option<ReportDifference> {
     let computed = SafetyMessage::new(tick, report);
-    let text = serde_json::to_vec(&computed).unwrap_or_default();
+    let text = encoded(&computed);
     let Some(logged) = logged else {
         let found = String::from_utf8_lossy(&text).into_owned();
         return Some(("safety".to_owned(), "nothing".to_owned(), found));
@@ -99,10 +103,4 @@ pub(super) fn difference(
     keys.map(|key| (key, logged.get(key), computed.get(key)))
         .find(|(_, logged, computed)| logged != computed)
         .map(|(key, logged, computed)| (format!("safety.{key}"), shown(logged), shown(computed)))
-}
-
-/// A target as position x, y, z, quaternion x, y, z, w, jaw.
-pub(super) fn numbers(target: &TipTarget) -> [Exact; 8] {
-    let ([x, y, z], [qx, qy, qz, qw]) = (target.position_m, target.rotation_xyzw);
-    [x, y, z, qx, qy, qz, qw, target.jaw].map(Exact)
 }

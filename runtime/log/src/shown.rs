@@ -53,6 +53,7 @@ pub fn read_shown(path: &Path, each: impl FnMut(Shown<'_>)) -> Result<(), LogErr
     container::walk(path, read::buffered(path)?, &mut looking).map(|_cut| ())
 }
 
+/// Passes on every message, and images and events once more as what they are.
 struct Looking<F>(F);
 
 impl<F: FnMut(Shown<'_>)> Visitor for Looking<F> {

@@ -5,6 +5,15 @@ use std::io::{Seek, Write};
 
 use mcap::{McapResult, Writer};
 
+/// The topic of shapes.
+pub const SHAPES: &str = "/scene";
+
+/// The topic of frames.
+pub const TRANSFORMS: &str = "/tf";
+
+/// The topic of what happens, in words.
+pub const EVENTS: &str = "/events";
+
 /// A topic that every log has. Cameras come on top, one pair of topics each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Topic {
@@ -61,8 +70,8 @@ impl Topic {
             Self::Safety => &["/safety", "/safety/psm2"],
             Self::Timing => &["/timing"],
             Self::Tick => &["/psm1/tick", "/psm2/tick"],
-            Self::Events => &[super::live::EVENTS],
-            Self::Transforms => &[super::live::TRANSFORMS],
+            Self::Events => &[EVENTS],
+            Self::Transforms => &[TRANSFORMS],
         }
     }
 
@@ -74,6 +83,7 @@ impl Topic {
         })
     }
 
+    /// How its messages are encoded.
     pub(super) const fn schema(self) -> Schema {
         match self {
             Self::MeasuredJs | Self::SetpointJs | Self::Jaw => {
@@ -88,6 +98,30 @@ impl Topic {
             Self::Tick => Schema::Json("trocar.Tick", TICK_SCHEMA),
         }
     }
+}
+
+/// The topic of a camera's images.
+#[must_use]
+pub fn image_topic(camera: &str) -> String {
+    format!("/camera/{camera}")
+}
+
+/// The camera whose images `topic` has, if it has a camera's.
+#[must_use]
+pub fn camera_of(topic: &str) -> Option<&str> {
+    let camera = topic.strip_prefix("/camera/")?;
+    (!camera.contains('/')).then_some(camera)
+}
+
+/// The topic of a camera's lens.
+#[must_use]
+pub fn lens_topic(camera: &str) -> String {
+    format!("/camera/{camera}/calibration")
+}
+
+/// The topic of where a camera is.
+pub(super) fn pose_topic(camera: &str) -> String {
+    format!("/camera/{camera}/pose")
 }
 
 /// How the messages of a topic are encoded.

@@ -10,21 +10,17 @@ use prost::{EncodeError, Message};
 use serde::Serialize;
 
 use super::contents::Contents;
-use super::drain::{ChunkItem, TickItem};
+use super::frames::{self, RCM_FRAMES, measured_tip};
 use super::header::{self, Closing, RunHeader};
+use super::item::{ChunkItem, TickItem};
 use super::joints::JointMessages;
 use super::json::{
     ChunkMessage, ChunkRef, ErrorMessage, OperatorMessage, TickMessage, TimingMessage,
 };
-use super::messages::{PoseInFrame, Timestamp};
 use super::record::{ArmRecord, TickRecord};
 use super::safety::SafetyMessage;
 use super::topic::{self, Schema, TOPIC_COUNT, Topic};
-use super::{Level, camera, live};
-use hal::ARMS_MAX;
-
-/// Frame of each arm's measured tip pose.
-pub(super) const RCM_FRAMES: [&str; ARMS_MAX] = ["psm1_rcm", "psm2_rcm"];
+use super::{Level, camera};
 
 /// Ticks from one message of frames to the next: people look at them.
 const FRAMES_EVERY_TICKS: u64 = 40;
@@ -34,6 +30,29 @@ const FLUSH_NS: u64 = 250_000_000;
 
 /// Bytes after which a chunk of the file is closed before its time; only cameras reach it.
 const FILE_CHUNK_BYTES: u64 = 1 << 20;
+
+/// How the file is written: chunks whole, compressed by the thread that writes.
+fn options() -> WriteOptions {
+    WriteOptions::new()
+        .profile("")
+        .library(concat!("trocar ", env!("CARGO_PKG_VERSION")))
+        .chunk_size(Some(FILE_CHUNK_BYTES))
+        // A chunk reaches the file whole or not at all, so that a cut file ends between two of them.
+        .disable_seeking(true)
+        .compression_level(1)
+        .compression_threads(0)
+}
+
+/// Writes the run's header; what was written.
+fn write_header<W: Write + Seek>(writer: &mut Writer<W>, run: &RunHeader) -> McapResult<Contents> {
+    let mut contents = Contents::default();
+    for (name, metadata) in run.to_metadata() {
+        contents.metadata(name, &metadata);
+        let name = name.to_owned();
+        writer.write_metadata(&Metadata { name, metadata })?;
+    }
+    Ok(contents)
+}
 
 /// The open file.
 pub(super) struct LogWriter<W: Write + Seek> {
@@ -56,23 +75,8 @@ pub(super) struct LogWriter<W: Write + Seek> {
 impl<W: Write + Seek> LogWriter<W> {
     /// Starts a file and writes the run's header into it.
     pub(super) fn new(sink: W, run: &RunHeader) -> McapResult<Self> {
-        let mut writer = WriteOptions::new()
-            .profile("")
-            .library(concat!("trocar ", env!("CARGO_PKG_VERSION")))
-            .chunk_size(Some(FILE_CHUNK_BYTES))
-            // A chunk reaches the file whole or not at all, so that a cut file ends between two of them.
-            .disable_seeking(true)
-            .compression_level(1)
-            .compression_threads(0)
-            .create(sink)?;
-        let mut contents = Contents::default();
-        for (name, metadata) in run.to_metadata() {
-            contents.metadata(name, &metadata);
-            writer.write_metadata(&Metadata {
-                name: name.to_owned(),
-                metadata,
-            })?;
-        }
+        let mut writer = options().create(sink)?;
+        let contents = write_header(&mut writer, run)?;
         let channels = vec![topic::add_channels(&mut writer, 0)?];
         let mut names = BTreeMap::new();
         topic::name_channels(&channels, &mut names);
@@ -103,10 +107,10 @@ impl<W: Write + Seek> LogWriter<W> {
         let timing = TimingMessage::new(tick, self.previous_now);
         self.json(Topic::Timing, 0, tick.now, &timing)?;
         if tick.tick.is_multiple_of(FRAMES_EVERY_TICKS) {
-            let frames = live::of_arms(tick, &self.rcms_in_scene);
-            if !frames.transforms.is_empty() {
+            let transforms = frames::of_arms(tick, &self.rcms_in_scene);
+            if !transforms.transforms.is_empty() {
                 self.protobuf(Topic::Transforms, 0, tick.now, |_, buffer| {
-                    frames.encode(buffer)
+                    transforms.encode(buffer)
                 })?;
             }
         }
@@ -180,7 +184,7 @@ impl<W: Write + Seek> LogWriter<W> {
 
     /// Writes a line of text.
     pub(super) fn event(&mut self, at: TimeNs, level: Level, text: String) -> McapResult<()> {
-        let log = live::line(at, level, text);
+        let log = level.line(at, text);
         self.protobuf(Topic::Events, 0, at, |_, buffer| log.encode(buffer))
     }
 
@@ -191,55 +195,41 @@ impl<W: Write + Seek> LogWriter<W> {
         at: TimeNs,
         frame: &camera::Encoded,
     ) -> McapResult<()> {
-        let channels = if let Some(&known) = self.cameras.get(name) {
-            known
-        } else {
-            let image = live::image_topic(name);
-            let lens = live::lens_topic(name);
-            let pose = live::pose_topic(name);
-            let new = camera::Channels {
-                image: topic::add_channel(
-                    &mut self.writer,
-                    &image,
-                    Schema::Protobuf("foxglove.CompressedImage"),
-                )?,
-                lens: topic::add_channel(
-                    &mut self.writer,
-                    &lens,
-                    Schema::Protobuf("foxglove.CameraCalibration"),
-                )?,
-                pose: topic::add_channel(
-                    &mut self.writer,
-                    &pose,
-                    Schema::Protobuf("foxglove.PoseInFrame"),
-                )?,
-            };
-            self.names
-                .extend([(new.image, image), (new.lens, lens), (new.pose, pose)]);
-            self.cameras.insert(name.to_owned(), new);
-            new
-        };
-        self.buffer.clear();
-        frame
-            .lens
-            .encode(&mut self.buffer)
-            .map_err(std::io::Error::from)?;
-        self.put(channels.lens, at)?;
-        self.buffer.clear();
-        frame
-            .pose
-            .encode(&mut self.buffer)
-            .map_err(std::io::Error::from)?;
-        self.put(channels.pose, at)?;
+        let channels = self.camera(name)?;
+        self.put_message(channels.lens, at, &frame.lens)?;
+        self.put_message(channels.pose, at, &frame.pose)?;
         self.protobuf(Topic::Transforms, 0, at, |_, buffer| {
             frame.place.encode(buffer)
         })?;
+        self.put_message(channels.image, at, &frame.image)
+    }
+
+    /// The channels of the camera `name`, added to the file with its first frame.
+    fn camera(&mut self, name: &str) -> McapResult<camera::Channels> {
+        if let Some(&known) = self.cameras.get(name) {
+            return Ok(known);
+        }
+        let mut add = |topic: String, message| {
+            let schema = Schema::Protobuf(message);
+            let channel = topic::add_channel(&mut self.writer, &topic, schema)?;
+            self.names.insert(channel, topic);
+            McapResult::Ok(channel)
+        };
+        let new = camera::Channels {
+            image: add(topic::image_topic(name), "foxglove.CompressedImage")?,
+            lens: add(topic::lens_topic(name), "foxglove.CameraCalibration")?,
+            pose: add(topic::pose_topic(name), "foxglove.PoseInFrame")?,
+        };
+        self.cameras.insert(name.to_owned(), new);
+        Ok(new)
+    }
+
+    fn put_message(&mut self, channel: u16, at: TimeNs, message: &impl Message) -> McapResult<()> {
         self.buffer.clear();
-        frame
-            .image
+        message
             .encode(&mut self.buffer)
             .map_err(std::io::Error::from)?;
-        self.put(channels.image, at)
+        self.put(channel, at)
     }
 
     /// Writes the outcome and closes the file.
@@ -285,6 +275,7 @@ impl<W: Write + Seek> LogWriter<W> {
         self.put(channel, now)
     }
 
+    /// The channel of an arm's topic, added to the file with the arm's first message.
     fn channel(&mut self, topic: Topic, arm: usize) -> McapResult<u16> {
         while self.channels.len() <= arm {
             let channels = topic::add_channels(&mut self.writer, self.channels.len())?;
@@ -294,6 +285,7 @@ impl<W: Write + Seek> LogWriter<W> {
         Ok(self.channels[arm][topic as usize])
     }
 
+    /// Writes the message in the buffer and adds it to the hash of the contents.
     fn put(&mut self, channel_id: u16, now: TimeNs) -> McapResult<()> {
         let sequence = self.sequences.entry(channel_id).or_insert(0);
         let header = MessageHeader {
@@ -306,14 +298,5 @@ impl<W: Write + Seek> LogWriter<W> {
         let name = &self.names[&channel_id];
         self.contents.message(name, &header, &self.buffer);
         self.writer.write_to_known_channel(&header, &self.buffer)
-    }
-}
-
-pub(super) fn measured_tip(frame: &str, state: &hal::ArmState) -> PoseInFrame {
-    let tip = crate::verify::tip_in_rcm(&state.position);
-    PoseInFrame {
-        timestamp: Some(Timestamp::new(state.stamp)),
-        frame_id: frame.to_owned(),
-        pose: Some((&tip).into()),
     }
 }

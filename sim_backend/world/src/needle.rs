@@ -185,11 +185,7 @@ impl NeedleShape {
         let step = along / f64::from(2 * WIRE_STEPS);
         let mut sum = Vector3::zeros();
         for index in 0..=2 * WIRE_STEPS {
-            let weight = match index {
-                0 => 1.0,
-                index if index == 2 * WIRE_STEPS => 1.0,
-                index => 2.0 + 2.0 * f64::from(index % 2),
-            };
+            let weight = simpson_weight(index);
             let (sin, cos) = turned(step * f64::from(index)).sin_cos();
             sum += Vector3::new(-sin, cos, 0.0) * weight;
         }
@@ -240,6 +236,15 @@ impl NeedleShape {
             mesh.indices
                 .extend([centre, centre + 1 + side, centre + 1 + next]);
         }
+    }
+}
+
+/// The weight of the point `index` of [`WIRE_STEPS`] double steps in Simpson's rule, in thirds of a step.
+fn simpson_weight(index: u32) -> f64 {
+    match index {
+        0 => 1.0,
+        index if index == 2 * WIRE_STEPS => 1.0,
+        index => 2.0 + 2.0 * f64::from(index % 2),
     }
 }
 

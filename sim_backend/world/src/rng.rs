@@ -1,6 +1,6 @@
 //! Seeded random numbers: the same seed and stream name give the same numbers on every machine.
 
-use hal::random::SplitMix64;
+use hal::random::{SplitMix64, fnv_1a};
 
 /// Generator xoshiro256++ (Blackman and Vigna, "Scrambled linear pseudorandom number generators", 2021), its state
 /// filled by `SplitMix64` as its authors recommend.
@@ -25,11 +25,8 @@ impl Rng {
     /// ones as they were.
     #[must_use]
     pub fn stream(seed: u64, name: &str) -> Self {
-        // FNV-1a keeps names apart; the mixers behind it spread the bits.
-        let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-        });
-        Self::new(SplitMix64::new(seed).next_u64() ^ hash)
+        // The hash keeps names apart; the mixers behind it spread the bits.
+        Self::new(SplitMix64::new(seed).next_u64() ^ fnv_1a(name))
     }
 
     /// The next 64 random bits.

@@ -145,7 +145,7 @@ impl StatusView {
     }
 }
 
-/// What a drive says of itself.
+/// The status word (6041h).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Status {
     /// Power state.

@@ -113,6 +113,17 @@ impl<B: Bus> CanArm<B> {
                 self.send_set_points(line, now);
             }
         }
+        self.begin_cycle(now);
+        for line in 0..self.plan.lines {
+            if !sent && self.cycle.is_transmit_queue_full(line) {
+                self.send_set_points(line, now);
+            }
+        }
+        self.measured = self.cycle.state(now);
+    }
+
+    /// Begins the cycle at `now`: on each bus SYNC, then the NMT commands that are due.
+    fn begin_cycle(&mut self, now: TimeNs) {
         self.cycle.begin(now);
         for line in 0..self.plan.lines {
             self.out.clear();
@@ -120,12 +131,6 @@ impl<B: Bus> CanArm<B> {
             self.cycle.stop_nodes(line, &mut self.out);
             self.transmit(line);
         }
-        for line in 0..self.plan.lines {
-            if !sent && self.cycle.is_transmit_queue_full(line) {
-                self.send_set_points(line, now);
-            }
-        }
-        self.measured = self.cycle.state(now);
     }
 
     /// Sends the set-points of the newest command, if a SYNC is due at the next read, `next`: of a controller that is faster than the bus

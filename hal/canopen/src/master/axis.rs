@@ -199,6 +199,11 @@ impl Axis {
         }
         self.silent = 0;
         self.health.age_cycles = self.outstanding;
+        self.count_late(count, due);
+    }
+
+    /// Counts which of the `count` answers of a period are late, of which `due` could come.
+    fn count_late(&mut self, count: u32, due: u32) {
         if count > 1 {
             self.health.late += u64::from(count - 1);
             if count > due {
@@ -227,16 +232,14 @@ impl Axis {
             self.outstanding.saturating_sub(late)
         };
         self.answers = before.after_pause(late, self.outstanding);
-        if had_answer {
-            if late > 0 {
-                self.not_in_time();
-            } else {
-                // One that was in step has been counted at the end of its own period.
-                if before == Answers::Ambiguous {
-                    self.in_time();
-                }
-                self.health.age_cycles = pauses;
+        if had_answer && late > 0 {
+            self.not_in_time();
+        } else if had_answer {
+            // One that was in step has been counted at the end of its own period.
+            if before == Answers::Ambiguous {
+                self.in_time();
             }
+            self.health.age_cycles = pauses;
         }
         if usable {
             self.silent = 0;

@@ -12,7 +12,9 @@ pub(super) mod exchange;
 mod homing;
 mod settings;
 mod step;
+mod timed;
 mod watched;
+mod writer;
 
 use std::sync::mpsc::Sender;
 
@@ -30,8 +32,8 @@ pub use enable::{Permission, enable_together};
 pub use error::BringUpError;
 pub use step::Step;
 
-use client::{expect, send};
 use exchange::Exchange;
+use timed::{expect, send};
 use watched::Watched;
 
 /// How long a node may take to boot up, ns.

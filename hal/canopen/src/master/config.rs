@@ -98,14 +98,7 @@ impl CanConfig {
         }
         range("heartbeat_ms", file.heartbeat_ms.into(), 10, 2000)?;
         range("brake_ms", file.brake_ms.into(), 0, 2000)?;
-        let space = match file.space.as_str() {
-            "joint" => Space::Joint,
-            "actuator" => Space::Actuator,
-            other => {
-                let allowed = "{\"joint\", \"actuator\"}";
-                return Err(source.out_of_range("space", other, allowed));
-            }
-        };
+        let space = space_of(source, &file)?;
         if file.arm.is_empty() || file.arm.len() > 2 {
             let count = format!("{} arms", file.arm.len());
             return Err(source.out_of_range("arm", &count, "1 or 2 arms"));
@@ -297,6 +290,18 @@ fn homing_sequences(
 /// Whether a homing method (CiA 402-2, clause 10) moves the axis; negative ones are the manufacturer's.
 const fn moves(method: i8) -> bool {
     matches!(method, i8::MIN..=-1 | 1..=14 | 17..=30 | 33 | 34)
+}
+
+/// In which coordinates the drives of `file` count.
+fn space_of(source: &Source, file: &File) -> Result<Space, ConfigError> {
+    match file.space.as_str() {
+        "joint" => Ok(Space::Joint),
+        "actuator" => Ok(Space::Actuator),
+        other => {
+            let allowed = "{\"joint\", \"actuator\"}";
+            Err(source.out_of_range("space", other, allowed))
+        }
+    }
 }
 
 /// The axes of a patient-side manipulator with these `motors` in `space`, with counts of its own encoders.

@@ -57,7 +57,7 @@
 //! queue already held: no more frames than it has places, which are better few (a cycle has up to 16, with NMT stops). Of a
 //! part that finds room the SYNC is the first, then NMT stops, then the set-points of drives that still follow, and of these the
 //! ones that were sent least often: each is sent once before one is sent twice. None is said again before the SYNC, though that
-//! would mostly save a period: nobody knows how much room there is, and where it takes the place of the SYNC all wait for the next.
+//! would mostly save a period: how much room there is is unknown, and where it takes the place of the SYNC all wait for the next.
 //!
 //! The head of that queue, too, waits while others have a frame with a lower identifier. TPDOs (181h and up) win arbitration over
 //! set-points (201h and up), so on a bus that another node's SYNCs fill with TPDOs a quick stop waits for as long as they do.

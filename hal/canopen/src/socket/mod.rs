@@ -120,6 +120,16 @@ impl Line {
         sent
     }
 
+    /// Reports the frames that the kernel dropped since it last said how many; `missed` is its count since the socket was opened.
+    fn tell_lost(&mut self, missed: Option<u32>, sink: &mut dyn FnMut(Received)) {
+        let missed = missed.unwrap_or(self.missed);
+        let lost = missed.wrapping_sub(self.missed);
+        self.missed = missed;
+        if lost > 0 {
+            sink(Received::Trouble(Trouble::Lost(lost)));
+        }
+    }
+
     fn receive(&mut self, sink: &mut dyn FnMut(Received)) {
         if let Some(trouble) = self.trouble.take() {
             sink(Received::Trouble(trouble));
@@ -129,12 +139,7 @@ impl Line {
             match sys::receive(&self.socket, &mut raw) {
                 Ok((count, missed)) => {
                     raw.iter().take(count).for_each(|frame| frame.tell(sink));
-                    let missed = missed.unwrap_or(self.missed);
-                    let lost = missed.wrapping_sub(self.missed);
-                    self.missed = missed;
-                    if lost > 0 {
-                        sink(Received::Trouble(Trouble::Lost(lost)));
-                    }
+                    self.tell_lost(missed, sink);
                     if count < BATCH {
                         return;
                     }

@@ -34,20 +34,24 @@ pub fn render(objects: &[Object]) -> String {
     text
 }
 
+/// Bit rates that CiA 306 lists, kbit/s, and whether the drive supports them.
+const BIT_RATES: [(u32, u8); 8] = [
+    (10, 0),
+    (20, 0),
+    (50, 0),
+    (125, 1),
+    (250, 1),
+    (500, 1),
+    (800, 1),
+    (1000, 1),
+];
+
+/// The sections of CiA 306 that describe file and device.
 fn header() -> String {
-    let rates: String = [
-        (10, 0),
-        (20, 0),
-        (50, 0),
-        (125, 1),
-        (250, 1),
-        (500, 1),
-        (800, 1),
-        (1000, 1),
-    ]
-    .iter()
-    .map(|(rate, supported)| format!("BaudRate_{rate}={supported}\n"))
-    .collect();
+    let rates: String = BIT_RATES
+        .iter()
+        .map(|(rate, supported)| format!("BaudRate_{rate}={supported}\n"))
+        .collect();
     let dummies: String = (1..=7)
         .map(|code| format!("Dummy{code:04}={}\n", u8::from(code > 1)))
         .collect();
@@ -83,6 +87,7 @@ fn comments() -> String {
     format!("[Comments]\nLines={}\n{numbered}\n", lines.len())
 }
 
+/// A section that lists the indices of `objects`: mandatory, optional or of the manufacturer.
 fn list<'a>(text: &mut String, name: &str, objects: impl Iterator<Item = &'a Object>) {
     let lines: Vec<String> = (1..)
         .zip(objects)
@@ -96,6 +101,7 @@ fn list<'a>(text: &mut String, name: &str, objects: impl Iterator<Item = &'a Obj
     );
 }
 
+/// The section of an object, and one for each of its sub-indices.
 fn section(text: &mut String, object: &Object) {
     let index = object.index;
     if object.shape == Shape::Variable {
@@ -121,6 +127,16 @@ fn section(text: &mut String, object: &Object) {
     }
 }
 
+/// The lines of an entry's bounds; none where they are those of its data type.
+fn limits(entry: &Entry) -> String {
+    if (entry.low, entry.high) == entry.kind.range() {
+        String::new()
+    } else {
+        format!("LowLimit={}\nHighLimit={}\n", entry.low, entry.high)
+    }
+}
+
+/// The lines of one entry (CiA 306): name, type, access, limits, default and whether it can be mapped.
 fn value(entry: &Entry) -> String {
     let access = match (entry.access, entry.mapping) {
         (Access::ReadOnly, _) => "ro",
@@ -130,15 +146,11 @@ fn value(entry: &Entry) -> String {
         (Access::ReadWrite, Mapping::Receive) => "rww",
         (Access::ReadWrite, Mapping::Transmit) => "rwr",
     };
+    let limits = limits(entry);
     let preset = match entry.preset {
         Preset::Number(number) => number.to_string(),
         Preset::PerNode(base) => format!("$NODEID+{base:#x}"),
         Preset::Text(words) => words.to_owned(),
-    };
-    let limits = if (entry.low, entry.high) == entry.kind.range() {
-        String::new()
-    } else {
-        format!("LowLimit={}\nHighLimit={}\n", entry.low, entry.high)
     };
     format!(
         "ParameterName={}\nObjectType=0x7\nDataType={:#06x}\nAccessType={access}\n{limits}\

@@ -18,6 +18,7 @@ pub struct Dictionary {
     cells: Vec<Cell>,
 }
 
+/// A sub-index with its present value. `low` and `high` bound numbers; `preset` is what a reset restores.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
     address: Address,
@@ -30,6 +31,7 @@ struct Cell {
     value: Value,
 }
 
+/// The value of a sub-index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Value {
     Number(i64),
@@ -65,6 +67,7 @@ impl Dictionary {
         Self { cells }
     }
 
+    /// Where the sub-index is among the cells, which are sorted. 0602 0000h if there is no such object, 0609 0011h if no such sub-index.
     fn position(&self, address: Address) -> Result<usize, AbortCode> {
         self.cells
             .binary_search_by_key(&address, |cell| cell.address)

@@ -37,10 +37,12 @@ pub fn objects() -> Vec<Object> {
     all
 }
 
+/// Sub-index 0 of an object that has only that one.
 fn variable(index: u16, name: &str, kind: DataType, access: Access, preset: i64) -> Entry {
     Entry::new(Address::new(index, 0), name, kind, access, preset)
 }
 
+/// The object of a single entry.
 fn alone(entry: Entry) -> Object {
     Object {
         index: entry.address.index,
@@ -69,10 +71,12 @@ fn several(index: u16, name: &str, shape: Shape, subs: Vec<Entry>) -> Object {
     }
 }
 
+/// A sub-index of an array or a record.
 fn sub(index: u16, sub: u8, name: &str, kind: DataType, access: Access, preset: i64) -> Entry {
     Entry::new(Address::new(index, sub), name, kind, access, preset)
 }
 
+/// A visible string.
 fn text(index: u16, name: &str, access: Access, text: &'static str) -> Object {
     alone(variable(index, name, Text, access, 0).preset(Preset::Text(text)))
 }

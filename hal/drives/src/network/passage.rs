@@ -49,6 +49,7 @@ impl<M: Motor> Network<M> {
         }
     }
 
+    /// A frame that has passed the wire; the tamper hook may drop, replace, repeat or delay it.
     fn arrive(&mut self, line: usize, delivery: Delivery) {
         let number = count_u8(line);
         let tampering = self.tamper.as_mut().map_or(Tampering::Pass, |tamper| {
@@ -69,6 +70,7 @@ impl<M: Motor> Network<M> {
         }
     }
 
+    /// Gives a frame to every node and master on the bus but its sender.
     fn hand_over(&mut self, line: usize, delivery: &Delivery) {
         for master in &mut self.lines[line].masters {
             if delivery.port != master.port {

@@ -34,6 +34,7 @@ pub(super) enum Alarm {
 }
 
 impl Alarm {
+    /// The emergency error code (CiA 301, CiA 402).
     const fn code(self) -> ErrorCode {
         match self {
             Self::Heartbeat => ErrorCode::HEARTBEAT,
@@ -46,6 +47,7 @@ impl Alarm {
         }
     }
 
+    /// Its bit in the set of active alarms.
     const fn bit(self) -> u8 {
         1 << self as u8
     }
@@ -74,6 +76,7 @@ impl Alarms {
         self.active & alarm.bit() != 0
     }
 
+    /// Queues an emergency; one that finds the queue full is lost.
     fn queue(&mut self, emergency: Emergency) {
         if let Some(place) = self.waiting.iter_mut().find(|place| place.is_none()) {
             *place = Some(emergency);
@@ -103,10 +106,15 @@ impl Alarms {
                 frame.id = cob.id;
                 out.push(frame);
             }
-            self.last_sent = Some(now);
-            self.waiting.rotate_left(1);
-            self.waiting[WAITING_MAX - 1] = None;
+            self.note_sent(now);
         }
+    }
+
+    /// The oldest of the waiting emergencies has been sent.
+    fn note_sent(&mut self, now: TimeNs) {
+        self.last_sent = Some(now);
+        self.waiting.rotate_left(1);
+        self.waiting[WAITING_MAX - 1] = None;
     }
 }
 
@@ -161,6 +169,7 @@ impl Node {
         self.send_emergency(now, code, out);
     }
 
+    /// Records an error in 1003h and 1001h, and queues the emergency.
     fn send_emergency(&mut self, now: TimeNs, code: ErrorCode, out: &mut Outbox) {
         self.alarms.queue(Emergency {
             code,

@@ -82,20 +82,20 @@ impl AxisConfig {
         dictionary.restrict(index::ENCODER_COUNTS, counts, counts, counts);
         let turns_min = turns_a_minute(config.speed_max, config.counts_per_turn);
         dictionary.restrict(index::MOTOR_SPEED_MAX, 1, turns_min, turns_min);
-        let (ramp, quick) = config.decelerations;
+        self.apply_decelerations(dictionary);
+        let window = config.following_window.into();
+        dictionary.restrict(index::FOLLOWING_WINDOW, 0, window, window);
+    }
+
+    /// Presets and bounds of 6084h and 6085h, counts/s²: no gentler than a tenth, or a stop would take too long.
+    fn apply_decelerations(&self, dictionary: &mut Dictionary) {
+        let (ramp, quick) = self.decelerations;
         for (address, value) in [
             (index::DECELERATION, i64::from(ramp).max(1)),
             (index::QUICK_STOP_DECELERATION, i64::from(quick).max(1)),
         ] {
-            // No gentler than a tenth, or a stop would take too long.
-            dictionary.restrict(
-                address,
-                (value / 10).max(1),
-                value.saturating_mul(10),
-                value,
-            );
+            let (low, high) = ((value / 10).max(1), value.saturating_mul(10));
+            dictionary.restrict(address, low, high, value);
         }
-        let window = config.following_window.into();
-        dictionary.restrict(index::FOLLOWING_WINDOW, 0, window, window);
     }
 }

@@ -56,6 +56,7 @@ enum AtRest {
     Send(Event),
 }
 
+/// The power stage and the set-point generator of a drive (CiA 402). Positions are counts.
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
     state: PowerState,
@@ -118,10 +119,12 @@ pub(super) fn speed_max(dictionary: &Dictionary) -> f64 {
 }
 
 impl Drive {
+    /// The state of the power state machine.
     pub(super) const fn state(&self) -> PowerState {
         self.state
     }
 
+    /// The bits that its faults set in the error register (1001h).
     pub(super) const fn fault_register(&self) -> u8 {
         self.register
     }
@@ -131,6 +134,7 @@ impl Drive {
         self.state == PowerState::OperationEnabled && self.mode == Mode::CyclicPosition
     }
 
+    /// As after power-on: not homed, no torque, no mode.
     pub(super) fn power_on(&mut self) {
         let feedback = self.feedback;
         *self = Self::default();
@@ -139,12 +143,14 @@ impl Drive {
         self.event(Event::Started);
     }
 
+    /// Takes what the motor's encoder measures; a position that is not finite is ignored.
     pub(super) fn feedback(&mut self, feedback: Feedback) {
         if feedback.position_counts.is_finite() {
             self.feedback = feedback;
         }
     }
 
+    /// Actual position, counts, home offset included (6064h).
     fn actual(&self) -> f64 {
         self.feedback.position_counts + self.offset
     }
@@ -156,6 +162,7 @@ impl Drive {
         };
     }
 
+    /// What the motor is to do at `now`: position, counts of the encoder; velocity, counts/s; torque limit, per mille.
     pub(super) fn demand(&self, now: TimeNs, dictionary: &Dictionary) -> Demand {
         let torque = self.state.has_torque();
         let (position, velocity) = self.motion.at(now);
@@ -206,6 +213,7 @@ impl Drive {
         rests
     }
 
+    /// Passes `event` to the power state machine; without torque the demand follows the motor.
     fn event(&mut self, event: Event) {
         let had_torque = self.state.has_torque();
         self.state = self.state.next(event);

@@ -185,6 +185,7 @@ impl Node {
             .flush(now, &mut self.dictionary, blocked, self.id, out);
     }
 
+    /// An NMT command, if it is for this node.
     fn on_nmt(&mut self, now: TimeNs, frame: &Frame, out: &mut Outbox) {
         let view = nmt::NmtView(frame.data());
         let (Ok(command), Ok(target)) = (view.command(), view.target()) else {
@@ -202,6 +203,7 @@ impl Node {
         }
     }
 
+    /// Enters an NMT state. Timers and process data start anew; an axis without process data stops as 6007h says.
     fn enter(&mut self, now: TimeNs, state: NmtState) {
         if state == self.state {
             return;
@@ -228,6 +230,7 @@ impl Node {
         };
     }
 
+    /// A reset of the node or of its communication: presets, pre-operational, boot-up message.
     fn reset(&mut self, area: Area, now: TimeNs, out: &mut Outbox) {
         if core::mem::take(&mut self.restore) {
             self.dictionary = Dictionary::new(&table::objects(), self.id);
@@ -249,6 +252,7 @@ impl Node {
         self.refresh(now);
     }
 
+    /// The identifier of the SYNC (1005h).
     fn sync_id(&self) -> Option<CanId> {
         let raw: u32 = self.dictionary.get_as(index::SYNC_COB);
         trocar_canopen::cia301::pdo::CobView(raw & 0x1FFF_FFFF)
@@ -256,6 +260,7 @@ impl Node {
             .ok()
     }
 
+    /// A SYNC: the set-points of synchronous RPDOs take effect, then synchronous TPDOs are sent.
     fn on_sync(&mut self, now: TimeNs, data: &[u8], out: &mut Outbox) {
         let counted = self.dictionary.get(index::SYNC_COUNTER) != 0;
         let sync = match Sync::parse(data) {

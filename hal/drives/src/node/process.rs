@@ -83,15 +83,8 @@ impl Node {
                 .map(|entry| u32::from(entry.bits))
                 .sum();
             let length = u32::from(frame.payload.length()) * 8;
-            if length < bits {
-                self.alarm(now, Alarm::PdoLength, out);
+            if !self.is_long_enough(now, length, bits, out) {
                 continue;
-            }
-            self.resolve(now, Alarm::PdoLength, out);
-            if length > bits {
-                self.alarm(now, Alarm::PdoExcess, out);
-            } else {
-                self.resolve(now, Alarm::PdoExcess, out);
             }
             self.receive[usize::from(n)].last = Some(now);
             if kind.is_synchronous() {
@@ -102,16 +95,36 @@ impl Node {
         }
     }
 
-    /// Puts the values of the RPDO `number` where its mapping says, the control word last: it acts on the others.
-    fn unpack(&mut self, now: TimeNs, number: u8, payload: &Payload, out: &mut Outbox) {
-        let mut control = None;
-        let mut rest = payload.as_slice();
+    /// Whether an RPDO of `length` bits has the `bits` that its mapping wants; raises and resolves the alarms of its length.
+    fn is_long_enough(&mut self, now: TimeNs, length: u32, bits: u32, out: &mut Outbox) -> bool {
+        if length < bits {
+            self.alarm(now, Alarm::PdoLength, out);
+            return false;
+        }
+        self.resolve(now, Alarm::PdoLength, out);
+        if length > bits {
+            self.alarm(now, Alarm::PdoExcess, out);
+        } else {
+            self.resolve(now, Alarm::PdoExcess, out);
+        }
+        true
+    }
+
+    /// What is mapped into the RPDO `number`, in order.
+    fn mapping_of(&self, number: u8) -> [Option<MappingEntry>; MAPPED_MAX as usize] {
         let mut entries = [None; MAPPED_MAX as usize];
         let all = mapped(&self.dictionary, |sub| index::rpdo_mapping(number, sub));
         for (place, entry) in entries.iter_mut().zip(all) {
             *place = Some(entry);
         }
-        for entry in entries.into_iter().flatten() {
+        entries
+    }
+
+    /// Puts the values of the RPDO `number` where its mapping says, the control word last: it acts on the others.
+    fn unpack(&mut self, now: TimeNs, number: u8, payload: &Payload, out: &mut Outbox) {
+        let mut control = None;
+        let mut rest = payload.as_slice();
+        for entry in self.mapping_of(number).into_iter().flatten() {
             let Some((value, after)) = rest.split_at_checked(usize::from(entry.bits / 8)) else {
                 return;
             };

@@ -5,7 +5,7 @@
 use super::watch::consumer;
 use super::{Node, Outbox};
 use crate::dictionary::object::Mapping;
-use crate::dictionary::table::{CONSUMER_COUNT, HOMING_METHODS, MAPPED_MAX};
+use crate::dictionary::table::{CONSUMER_COUNT, HISTORY_LENGTH, HOMING_METHODS, MAPPED_MAX};
 use hal::TimeNs;
 use trocar_canopen::cia301::pdo::{MappingEntry, PdoCob, Transmission};
 use trocar_canopen::cia301::{AbortCode, Address};
@@ -53,6 +53,7 @@ impl Node {
         Ok(())
     }
 
+    /// Whether `number` may be written now: what depends on other objects or on the state, beyond the object's own limits.
     fn allowed(&self, address: Address, number: i64) -> Result<(), AbortCode> {
         let need = |fine: bool, code: AbortCode| if fine { Ok(()) } else { Err(code) };
         match (address.index, address.sub) {
@@ -95,6 +96,7 @@ impl Node {
         }
     }
 
+    /// Whether 6502h has the mode of operation `number`.
     fn has_mode(&self, number: i64) -> bool {
         let mode = i8::try_from(number)
             .ok()
@@ -105,6 +107,7 @@ impl Node {
         })
     }
 
+    /// Two entries of 1016h may not have the same node.
     fn heartbeat_once(&self, sub: u8, number: i64) -> Result<(), AbortCode> {
         let Some((node, _)) = consumer(number) else {
             return Ok(());
@@ -129,6 +132,7 @@ impl Node {
         Ok(())
     }
 
+    /// Communication parameters of a PDO: inhibit time and SYNC start value only while it is not valid.
     fn communication(&self, address: Address, sub: u8, number: i64) -> Result<(), AbortCode> {
         let cob = Address::new(address.index, 1);
         let valid = self.dictionary.get(cob) & INVALID == 0;
@@ -137,25 +141,13 @@ impl Node {
                 self.unchanged_while_valid(address, number)?;
                 identifier(number)
             }
-            2 => {
-                let raw = u8::try_from(number).map_err(|_| AbortCode::VALUE)?;
-                match Transmission::try_from(raw) {
-                    Ok(Transmission::RtrSync | Transmission::RtrEvent) | Err(_) => {
-                        Err(AbortCode::VALUE)
-                    }
-                    Ok(
-                        Transmission::SyncAcyclic
-                        | Transmission::SyncCyclic(_)
-                        | Transmission::EventVendor
-                        | Transmission::EventProfile,
-                    ) => Ok(()),
-                }
-            }
+            2 => transmission(number),
             3 | 6 if valid => Err(AbortCode::DEVICE_STATE),
             _ => Ok(()),
         }
     }
 
+    /// A mapping may change only while its PDO is not valid and it has no entries (sub-index 0 is 0), as CiA 301 says.
     fn mapping(
         &self,
         record: u16,
@@ -178,6 +170,7 @@ impl Node {
         self.one_mapping(number, direction).map(|_| ())
     }
 
+    /// All entries of a mapping must be mappable, and have 64 bits at most together.
     fn whole_mapping(&self, record: u16, count: u8, direction: Mapping) -> Result<(), AbortCode> {
         let mut bits = 0;
         for n in 1..=count.min(MAPPED_MAX) {
@@ -202,13 +195,17 @@ impl Node {
         }
     }
 
+    /// Empties 1003h, as writing 0 to its number of entries does.
+    fn clear_error_history(&mut self) {
+        for n in 1..=HISTORY_LENGTH {
+            self.dictionary.set(Address::new(0x1003, n), 0);
+        }
+    }
+
+    /// What follows from a value that was written.
     fn act_on(&mut self, now: TimeNs, address: Address, out: &mut Outbox) {
         match (address.index, address.sub) {
-            (0x1003, 0) => {
-                for n in 1..=crate::dictionary::table::HISTORY_LENGTH {
-                    self.dictionary.set(Address::new(0x1003, n), 0);
-                }
-            }
+            (0x1003, 0) => self.clear_error_history(),
             (0x1016, _) => self.watches.forget_heartbeats(),
             (0x1017, 0) => self.watches.schedule_heartbeat(now, &self.dictionary),
             (0x1400..=0x1403, _) => {
@@ -229,6 +226,20 @@ impl Node {
             }
             _ => {}
         }
+    }
+}
+
+/// Whether the drive has the transmission type `number` of a PDO: all but those on remote frames.
+fn transmission(number: i64) -> Result<(), AbortCode> {
+    let raw = u8::try_from(number).map_err(|_| AbortCode::VALUE)?;
+    match Transmission::try_from(raw) {
+        Ok(Transmission::RtrSync | Transmission::RtrEvent) | Err(_) => Err(AbortCode::VALUE),
+        Ok(
+            Transmission::SyncAcyclic
+            | Transmission::SyncCyclic(_)
+            | Transmission::EventVendor
+            | Transmission::EventProfile,
+        ) => Ok(()),
     }
 }
 

@@ -38,6 +38,7 @@ pub(super) enum Transfer {
 }
 
 impl Node {
+    /// An SDO request for this node. One transfer at a time; a new one ends the last.
     pub(super) fn on_sdo(&mut self, now: TimeNs, data: &[u8], out: &mut Outbox) {
         let view = SdoView(data);
         let answer = match Request::parse(data) {
@@ -56,11 +57,13 @@ impl Node {
         }
     }
 
+    /// Sends a response.
     fn respond(&self, response: Response, out: &mut Outbox) {
         let id = Cob::SdoResponse(self.id).id();
         out.push(Frame::new(id, response.emit()));
     }
 
+    /// The response to `request`; none to an abort.
     fn answer(&mut self, now: TimeNs, request: Request, out: &mut Outbox) -> Option<Response> {
         match request {
             Request::Abort(..) => {
@@ -76,6 +79,7 @@ impl Node {
         }
     }
 
+    /// Up to four bytes at once, more in segments.
     fn begin_upload(&mut self, now: TimeNs, address: Address) -> Response {
         self.transfer = Transfer::Idle;
         let read = match self.dictionary.read(address) {
@@ -106,6 +110,7 @@ impl Node {
         address.index == errors.index && i64::from(address.sub) > self.dictionary.get(errors)
     }
 
+    /// The next segment; its toggle bit must alternate.
     fn upload_segment(&mut self, now: TimeNs, toggle: bool) -> Response {
         let Transfer::Upload {
             address,
@@ -135,6 +140,27 @@ impl Node {
         Response::UploadSegment(segment)
     }
 
+    /// Stores an expedited value. Without a size, all four bytes came and the object says how many it wants.
+    fn download_expedited(
+        &mut self,
+        now: TimeNs,
+        address: Address,
+        data: Expedited,
+        out: &mut Outbox,
+    ) -> Response {
+        let own = self.dictionary.read(address);
+        let length = own.map_or(4, |own| own.as_slice().len());
+        let data = match data.data() {
+            all if data.is_sized() => all,
+            all => &all[..length.min(all.len())],
+        };
+        match self.store(now, address, data, out) {
+            Ok(()) => Response::Download(address),
+            Err(code) => Response::Abort(address, code),
+        }
+    }
+
+    /// Stores an expedited value, or waits for the segments of a longer one.
     fn begin_download(
         &mut self,
         now: TimeNs,
@@ -144,19 +170,7 @@ impl Node {
     ) -> Response {
         self.transfer = Transfer::Idle;
         match content {
-            Content::Expedited(data) => {
-                // Without a size, all four bytes came and the object says how many it wants.
-                let own = self.dictionary.read(address);
-                let length = own.map_or(4, |own| own.as_slice().len());
-                let data = match data.data() {
-                    all if data.is_sized() => all,
-                    all => &all[..length.min(all.len())],
-                };
-                match self.store(now, address, data, out) {
-                    Ok(()) => Response::Download(address),
-                    Err(code) => Response::Abort(address, code),
-                }
-            }
+            Content::Expedited(data) => self.download_expedited(now, address, data, out),
             Content::Segmented(size) => {
                 self.transfer = Transfer::Download {
                     address,
@@ -170,6 +184,7 @@ impl Node {
         }
     }
 
+    /// Collects a segment; the last one stores the value if its size is the announced one.
     fn download_segment(&mut self, now: TimeNs, segment: &Segment, out: &mut Outbox) -> Response {
         let Transfer::Download {
             address,

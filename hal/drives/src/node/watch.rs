@@ -12,6 +12,7 @@ use trocar_canopen::NodeId;
 use trocar_canopen::cia301::{Address, NmtState};
 use trocar_canopen::index;
 
+/// A millisecond, ns.
 const MS: u64 = 1_000_000;
 
 /// Last signs of life.
@@ -52,6 +53,7 @@ impl Watches {
     }
 }
 
+/// A value in ms as ns.
 const fn milliseconds(value: u64) -> u64 {
     value * MS
 }
@@ -65,11 +67,13 @@ pub(super) fn consumer(raw: i64) -> Option<(NodeId, u64)> {
         .map(|node| (node, time_ns))
 }
 
+/// The entry `n`, from 0, of the heartbeat consumers.
 fn watched(n: u8) -> Address {
     Address::new(0x1016, n + 1)
 }
 
 impl Node {
+    /// Sends the heartbeat when its period (1017h) is over.
     pub(super) fn heartbeat_if_due(&mut self, now: TimeNs, out: &mut Outbox) {
         if self.watches.heartbeat_due.is_some_and(|due| now >= due) {
             out.push(self.state.emit(self.id));
@@ -77,6 +81,7 @@ impl Node {
         }
     }
 
+    /// A heartbeat restarts the consumer times (1016h) of its node.
     pub(super) fn on_heartbeat(&mut self, now: TimeNs, node: NodeId, data: &[u8]) {
         if NmtState::parse(data).is_err() {
             return;
@@ -99,6 +104,7 @@ impl Node {
         }
     }
 
+    /// A consumer time that has run out: emergency 8130h, and the reaction of 6007h and 1029h.
     fn watch_heartbeats(&mut self, now: TimeNs, out: &mut Outbox) {
         for n in 0..CONSUMER_COUNT {
             let place = usize::from(n);
@@ -130,6 +136,7 @@ impl Node {
         }
     }
 
+    /// In a cyclic mode too many periods without a SYNC are a fault.
     fn watch_sync(&mut self, now: TimeNs, out: &mut Outbox) {
         let Some(last) = self.watches.sync.filter(|_| self.drive.follows_sync()) else {
             return;
@@ -142,6 +149,7 @@ impl Node {
         }
     }
 
+    /// The event timer of an RPDO (sub-index 5) is the deadline of its set-points.
     fn watch_rpdos(&mut self, now: TimeNs, out: &mut Outbox) {
         let mut overdue = false;
         for n in 0..4_u8 {

@@ -2,7 +2,7 @@
 
 use hal::ARM_NAMES;
 
-use super::{ArmFrame, DatasetError, DatasetSpec};
+use super::{ArmFrame, CameraSpec, DatasetError, DatasetSpec};
 
 /// Only what can be stored and read back.
 pub(super) fn check_spec(spec: &DatasetSpec) -> Result<(), DatasetError> {
@@ -18,23 +18,23 @@ pub(super) fn check_spec(spec: &DatasetSpec) -> Result<(), DatasetError> {
         ));
     }
     for (index, camera) in spec.cameras.iter().enumerate() {
-        let what = format!("camera \"{}\"", camera.name);
-        if camera.name.is_empty() || camera.name.contains('/') {
-            return Err(input(&what, "no name for a feature", "a name without '/'"));
-        }
-        if camera.width == 0 || camera.height == 0 {
-            return Err(input(
-                &what,
-                &format!("{} x {}", camera.width, camera.height),
-                "at least 1 x 1",
-            ));
-        }
-        if spec.cameras[..index]
-            .iter()
-            .any(|other| other.name == camera.name)
-        {
-            return Err(input(&what, "there twice", "there once"));
-        }
+        check_camera(camera, &spec.cameras[..index])?;
+    }
+    Ok(())
+}
+
+/// Name and size of a camera, whose name none of those `before` has.
+fn check_camera(camera: &CameraSpec, before: &[CameraSpec]) -> Result<(), DatasetError> {
+    let what = format!("camera \"{}\"", camera.name);
+    if camera.name.is_empty() || camera.name.contains('/') {
+        return Err(input(&what, "no name for a feature", "a name without '/'"));
+    }
+    if camera.width == 0 || camera.height == 0 {
+        let found = format!("{} x {}", camera.width, camera.height);
+        return Err(input(&what, &found, "at least 1 x 1"));
+    }
+    if before.iter().any(|other| other.name == camera.name) {
+        return Err(input(&what, "there twice", "there once"));
     }
     Ok(())
 }

@@ -5,14 +5,14 @@ use std::path::Path;
 use hal::{CameraFrame, Intrinsics};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ExtendedColorType, ImageEncoder};
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::{
     CameraSpec, DatasetError, DatasetSpec, TIP_POSE_WIDTH,
     check::input,
+    error::mismatch,
     png::decode,
     schema::{CAMERA_POSE_PREFIX, DEPTH_PREFIX, INSTANCE_PREFIX, Info},
-    spec::mismatch,
     table::Table,
 };
 use crate::perception::{DEPTH_UNIT_M, depth_from_units};
@@ -106,7 +106,8 @@ pub(super) fn encode(
         .collect()
 }
 
-fn encode_one(camera: &CameraSpec, frame: &DepthFrame<'_>) -> Result<DepthRow, DatasetError> {
+/// Both planes must have the camera's pixels, and its pose must be finite.
+fn check_frame(camera: &CameraSpec, frame: &DepthFrame<'_>) -> Result<(), DatasetError> {
     let pixels = camera.width as usize * camera.height as usize;
     let planes = [
         ("depth", frame.units.len()),
@@ -115,17 +116,21 @@ fn encode_one(camera: &CameraSpec, frame: &DepthFrame<'_>) -> Result<DepthRow, D
     for (what, found) in planes {
         if found != pixels {
             let what = format!("the {what} of {}", camera.name);
-            return Err(input(
-                &what,
-                &format!("{found} pixels"),
-                &pixels.to_string(),
-            ));
+            let found = format!("{found} pixels");
+            return Err(input(&what, &found, &pixels.to_string()));
         }
     }
-    if let Some(value) = frame.camera_in_scene.iter().find(|x| !x.is_finite()) {
-        let what = format!("the pose of {}", camera.name);
-        return Err(input(&what, &value.to_string(), "finite numbers"));
+    match frame.camera_in_scene.iter().find(|x| !x.is_finite()) {
+        None => Ok(()),
+        Some(value) => {
+            let what = format!("the pose of {}", camera.name);
+            Err(input(&what, &value.to_string(), "finite numbers"))
+        }
     }
+}
+
+fn encode_one(camera: &CameraSpec, frame: &DepthFrame<'_>) -> Result<DepthRow, DatasetError> {
+    check_frame(camera, frame)?;
     // The encoder wants the machine's own order of bytes.
     let units: Vec<u8> = frame.units.iter().flat_map(|x| x.to_ne_bytes()).collect();
     Ok(DepthRow {
@@ -148,15 +153,6 @@ fn png(
             source,
         })?;
     Ok(png)
-}
-
-/// What `info.json` says about a camera's depth.
-pub(super) fn describe(lens: &Intrinsics) -> Value {
-    json!({
-        "is_depth_map": true,
-        "depth_unit_m": DEPTH_UNIT_M,
-        "intrinsics_px": {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy},
-    })
 }
 
 /// The lens of a camera whose depth is kept; none if it is not.
@@ -229,19 +225,15 @@ pub(super) fn read(
 ) -> Result<RecordedDepth, DatasetError> {
     let feature = |prefix: &str| format!("{prefix}{}", camera.name);
     let Some(intrinsics) = camera.depth else {
-        return Err(DatasetError::Missing {
-            path: table.path().to_owned(),
-            name: feature(DEPTH_PREFIX),
-        });
+        let (path, name) = (table.path().to_owned(), feature(DEPTH_PREFIX));
+        return Err(DatasetError::Missing { path, name });
     };
     let depth = plane(table, camera, &feature(DEPTH_PREFIX), row)?;
     let ids = plane(table, camera, &feature(INSTANCE_PREFIX), row)?;
     let (DynamicImage::ImageLuma16(depth), DynamicImage::ImageLuma8(ids)) = (depth, ids) else {
-        return Err(table.mismatch(
-            &feature(DEPTH_PREFIX),
-            "of other bit depths".to_owned(),
-            "16 bits of depth and 8 of ids".to_owned(),
-        ));
+        let found = "of other bit depths".to_owned();
+        let expected = "16 bits of depth and 8 of ids".to_owned();
+        return Err(table.mismatch(&feature(DEPTH_PREFIX), found, expected));
     };
     Ok(RecordedDepth {
         intrinsics,

@@ -5,7 +5,7 @@ use std::{
     io::Write,
     os::unix::process::CommandExt,
     path::{Path, PathBuf},
-    process::{Child, Stdio},
+    process::{Child, Command, Stdio},
     thread::JoinHandle,
 };
 
@@ -25,6 +25,24 @@ pub(crate) struct Encoder {
     finished: bool,
 }
 
+/// The command that encodes raw RGB images from its standard input into the file `to`.
+fn encode_raw(to: &Path, camera: &CameraSpec, fps: u32, codec: VideoCodec) -> Command {
+    let mut command = program("ffmpeg");
+    command
+        .arg("-y")
+        .args(["-f", "rawvideo", "-pix_fmt", "rgb24"]);
+    let size = format!("{}x{}", camera.width, camera.height);
+    command.args(["-video_size", &size, "-framerate", &fps.to_string()]);
+    command.args(["-i", "-"]).args(codec.options());
+    command
+        .args(["-pix_fmt", "yuv420p", "-f", "mp4"])
+        .arg(url(to));
+    command.stdin(Stdio::piped()).stdout(Stdio::null());
+    // Ctrl-C on the terminal is for who records: what is begun here is finished.
+    command.process_group(0);
+    command
+}
+
 impl Encoder {
     /// Starts on the file `path`, in a folder that is made.
     pub(crate) fn start(
@@ -38,20 +56,7 @@ impl Encoder {
         let mut partial = path.as_os_str().to_owned();
         partial.push(".partial");
         let partial = PathBuf::from(partial);
-        let mut command = program("ffmpeg");
-        command
-            .arg("-y")
-            .args(["-f", "rawvideo", "-pix_fmt", "rgb24"]);
-        let size = format!("{}x{}", camera.width, camera.height);
-        command.args(["-video_size", &size, "-framerate", &fps.to_string()]);
-        command.args(["-i", "-"]).args(codec.options());
-        command
-            .args(["-pix_fmt", "yuv420p", "-f", "mp4"])
-            .arg(url(&partial));
-        command.stdin(Stdio::piped()).stdout(Stdio::null());
-        // Ctrl-C on the terminal is for who records: what is begun here is finished.
-        command.process_group(0);
-        let mut child = spawn(command, path)?;
+        let mut child = spawn(encode_raw(&partial, camera, fps, codec), path)?;
         let errors = child.stderr.take();
         let errors = errors.map(|errors| std::thread::spawn(move || reason_in(errors)));
         Ok(Self {

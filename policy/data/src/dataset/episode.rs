@@ -10,7 +10,7 @@ use arrow_schema::DataType;
 
 use super::{
     ACTION_WIDTH, ArmFrame, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH,
-    depth::DepthColumns,
+    depth::{DepthColumns, DepthRow},
     meta::EpisodeRow,
     schema::{self, INDICES},
     stats::ImageStats,
@@ -51,6 +51,16 @@ impl Pending {
 
     pub(super) const fn frame_count(&self) -> usize {
         self.frames
+    }
+
+    /// Adds the coming frame's images, a PNG of each camera that is kept so, and its depth.
+    pub(super) fn push_images(&mut self, pngs: Vec<Vec<u8>>, depth: Vec<DepthRow>) {
+        for (images, png) in self.images.iter_mut().zip(pngs) {
+            images.push(png);
+        }
+        for (columns, row) in self.depth.iter_mut().zip(depth) {
+            columns.push(row);
+        }
     }
 
     /// Adds the numbers of a frame.

@@ -130,3 +130,18 @@ pub enum DatasetError {
         expected: String,
     },
 }
+
+/// Something in `path` that is not as it must be.
+pub(super) fn mismatch(
+    path: PathBuf,
+    what: &str,
+    found: impl ToString,
+    expected: impl ToString,
+) -> DatasetError {
+    DatasetError::Mismatch {
+        path,
+        what: what.to_owned(),
+        found: found.to_string(),
+        expected: expected.to_string(),
+    }
+}

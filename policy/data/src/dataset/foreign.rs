@@ -9,14 +9,16 @@ use std::{
 use image::{ImageReader, Limits, RgbImage};
 
 use super::{
-    CameraSpec, DatasetError, layout,
+    CameraSpec, DatasetError,
+    error::mismatch,
+    layout,
     listed::Listed,
     meta::{self, CHUNK_SIZE},
     png::SIDE_MAX,
     rows::check_episode,
     schema::{EPISODE_INDEX, Feature, IMAGE_PREFIX, Info, VERSION},
     segments::VideoFrames,
-    spec::{camera_spec, mismatch},
+    spec::camera_spec,
     table::Table,
 };
 
@@ -34,14 +36,14 @@ pub(crate) struct Foreign {
     listed: Vec<Listed>,
     /// The first row of each episode within its file.
     first_rows: Vec<usize>,
-    /// The cameras that were asked for: their features and sizes.
+    /// The requested cameras: their features and sizes.
     cameras: Vec<CameraSpec>,
     features: Vec<String>,
     videos: VideoFrames,
     file: Option<OpenFile>,
 }
 
-/// The data file that was read last: its columns as far as they were asked for.
+/// The data file that was read last: its columns as far as they were read.
 #[derive(Debug)]
 struct OpenFile {
     table: Table,
@@ -56,7 +58,7 @@ impl Foreign {
         Ok(info.features.into_iter().map(|(name, _)| name).collect())
     }
 
-    /// Opens the dataset in the folder `dir`; `features` are those of the cameras that will be asked for.
+    /// Opens the dataset in the folder `dir`; `features` are those of the cameras that will be read.
     pub(crate) fn open(dir: &Path, features: &[String]) -> Result<Self, DatasetError> {
         let info = meta::read_info(dir)?;
         let info_path = meta::info_path(dir);
@@ -67,17 +69,8 @@ impl Foreign {
             let camera = name.strip_prefix(IMAGE_PREFIX).unwrap_or(name);
             cameras.push(camera_spec(&info_path, camera, found)?);
         }
-        let of_video = |name: &&String| {
-            let found = info.features.iter().find(|(other, _)| other == *name);
-            found.is_some_and(|(_, feature)| feature.dtype == VIDEO)
-        };
-        let video_features: Vec<String> = features.iter().filter(of_video).cloned().collect();
-        let mut listed = layout::read_episodes(dir, &info, &video_features)?;
-        if listed.len() < info.total_episodes {
-            let what = "the number of episodes";
-            return Err(mismatch(info_path, what, listed.len(), info.total_episodes));
-        }
-        listed.truncate(info.total_episodes);
+        let video_features = video_features(&info, features);
+        let listed = read_listed(dir, &info, &video_features)?;
         Ok(Self {
             tasks: layout::read_tasks(dir, &info)?,
             videos: VideoFrames::open(features, &video_features, &listed, info.fps)?,
@@ -251,9 +244,8 @@ impl Foreign {
         if image.dimensions() != (width, height) {
             let found = format!("{} x {}", image.width(), image.height());
             let what = format!("{name} in row {row}");
-            return Err(file
-                .table
-                .mismatch(&what, found, format!("{width} x {height}")));
+            let expected = format!("{width} x {height}");
+            return Err(file.table.mismatch(&what, found, expected));
         }
         Ok(image)
     }
@@ -261,6 +253,18 @@ impl Foreign {
     fn rows(&self, episode: usize) -> std::ops::Range<usize> {
         let first = self.first_rows[episode];
         first..first + self.listed[episode].len
+    }
+
+    /// All episodes whose data are in the file of `table` must be where the list says.
+    fn check_episodes(&self, table: &Table) -> Result<(), DatasetError> {
+        let indices = table.integers(EPISODE_INDEX)?;
+        for (episode, first) in self.listed.iter().zip(&self.first_rows) {
+            if episode.data == table.path() {
+                let rows = *first..first.saturating_add(episode.len);
+                check_episode(table, episode, episode.start, (&indices, rows))?;
+            }
+        }
+        Ok(())
     }
 
     /// The file of an episode, opened if it is another one than before; the episode must be in it.
@@ -278,13 +282,7 @@ impl Foreign {
                 numbers,
                 texts,
             };
-            let indices = file.table.integers(EPISODE_INDEX)?;
-            for (other, first) in self.listed.iter().zip(&self.first_rows) {
-                if other.data == listed.data {
-                    let rows = *first..first.saturating_add(other.len);
-                    check_episode(&file.table, other, other.start, (&indices, rows))?;
-                }
-            }
+            self.check_episodes(&file.table)?;
             self.file = Some(file);
         }
         // It was opened just now, if it was not before.
@@ -355,4 +353,24 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<RgbImage, image::ImageError> {
     let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
     reader.limits(limits);
     Ok(reader.decode()?.into_rgb8())
+}
+
+/// Those of `features` that are kept as video.
+fn video_features(info: &Info, features: &[String]) -> Vec<String> {
+    let of_video = |name: &&String| {
+        let found = info.features.iter().find(|(other, _)| other == *name);
+        found.is_some_and(|(_, feature)| feature.dtype == VIDEO)
+    };
+    features.iter().filter(of_video).cloned().collect()
+}
+
+/// The episodes that `info` counts, in order.
+fn read_listed(dir: &Path, info: &Info, videos: &[String]) -> Result<Vec<Listed>, DatasetError> {
+    let mut listed = layout::read_episodes(dir, info, videos)?;
+    if listed.len() < info.total_episodes {
+        let (path, what) = (meta::info_path(dir), "the number of episodes");
+        return Err(mismatch(path, what, listed.len(), info.total_episodes));
+    }
+    listed.truncate(info.total_episodes);
+    Ok(listed)
 }

@@ -5,9 +5,7 @@ use std::path::{Path, PathBuf};
 
 use hal::Intrinsics;
 
-use super::{
-    CameraSpec, Dataset, DatasetError, DatasetSpec, Episode, Totals, check::input, rows::Place,
-};
+use super::{CameraSpec, Dataset, DatasetError, DatasetSpec, Episode, Totals, check::input};
 
 /// One of the datasets that a [`Dataset`] is of.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -73,10 +71,7 @@ impl Dataset {
                 difference,
             });
         }
-        self.spec.intervention &= other.spec.intervention;
-        for (mine, theirs) in self.spec.cameras.iter_mut().zip(&other.spec.cameras) {
-            mine.depth = mine.depth.filter(|lens| theirs.depth == Some(*lens));
-        }
+        keep_common(&mut self.spec, &other.spec);
         let (episodes, frames, tables) = (self.episodes.len(), self.len(), self.tables.len());
         let moved = |episode: Episode| Episode {
             index: episodes + episode.index,
@@ -84,19 +79,19 @@ impl Dataset {
             ..episode
         };
         self.episodes.extend(other.episodes.into_iter().map(moved));
-        self.rows.state.extend(other.rows.state);
-        self.rows.tip_pose.extend(other.rows.tip_pose);
-        self.rows.action.extend(other.rows.action);
-        let moved = |place: Place| Place {
-            table: tables + place.table,
-            ..place
-        };
-        let places = other.rows.place.into_iter();
-        self.rows.place.extend(places.map(moved));
+        self.rows.append(other.rows, tables);
         self.tables.extend(other.tables);
         self.videos.append(other.videos);
         self.parts.extend(other.parts);
         Ok(())
+    }
+}
+
+/// Leaves in `mine` only what `theirs` has as well: interventions, and depth through the same lens.
+fn keep_common(mine: &mut DatasetSpec, theirs: &DatasetSpec) {
+    mine.intervention &= theirs.intervention;
+    for (mine, theirs) in mine.cameras.iter_mut().zip(&theirs.cameras) {
+        mine.depth = mine.depth.filter(|lens| theirs.depth == Some(*lens));
     }
 }
 

@@ -18,10 +18,10 @@ use serde::{Deserialize, de::DeserializeOwned};
 
 use super::{
     DatasetError,
+    error::mismatch,
     listed::{Listed, VideoPlace},
     meta::{self, CHUNK_SIZE},
     schema::{Info, VERSION},
-    spec::mismatch,
     store::io_error,
 };
 
@@ -46,22 +46,27 @@ pub(super) fn read_episodes(
             let found = line.episode_index.to_string();
             return Err(mismatch(path, "episode_index", found, index));
         }
-        let chunk = format!("chunk-{:03}", index / CHUNK_SIZE);
-        let of_feature = |feature: &String| VideoPlace {
-            path: dir.join(format!("videos/{chunk}/{feature}/episode_{index:06}.mp4")),
-            from_s: 0.0,
-        };
-        listed.push(Listed {
-            index,
-            start,
-            len: line.length,
-            data: dir.join(format!("data/{chunk}/episode_{index:06}.parquet")),
-            alone: true,
-            videos: videos.iter().map(of_feature).collect(),
-        });
+        listed.push(alone(dir, index, [start, line.length], videos));
         start = start.saturating_add(line.length);
     }
     Ok(listed)
+}
+
+/// An episode of v2.0 or v2.1, which has files of its own: `len` frames from frame `start` of the dataset on.
+fn alone(dir: &Path, index: usize, [start, len]: [usize; 2], videos: &[String]) -> Listed {
+    let chunk = format!("chunk-{:03}", index / CHUNK_SIZE);
+    let of_feature = |feature: &String| VideoPlace {
+        path: dir.join(format!("videos/{chunk}/{feature}/episode_{index:06}.mp4")),
+        from_s: 0.0,
+    };
+    Listed {
+        index,
+        start,
+        len,
+        data: dir.join(format!("data/{chunk}/episode_{index:06}.parquet")),
+        alone: true,
+        videos: videos.iter().map(of_feature).collect(),
+    }
 }
 
 /// What the episodes show, in words: the first task.

@@ -22,6 +22,12 @@ use super::{
     table::Table,
 };
 
+/// Where data files are, as `info.json` says it.
+const DATA_PATH: &str = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet";
+
+/// Where videos are, as `info.json` says it.
+const VIDEO_PATH: &str = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4";
+
 /// Files a folder may hold.
 pub(super) const CHUNK_SIZE: usize = 1000;
 
@@ -77,10 +83,8 @@ pub(super) fn info(
         video_files_size_in_mb: 200,
         fps: spec.fps,
         splits: [("train".to_owned(), format!("0:{episodes}"))].into(),
-        data_path: "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet".to_owned(),
-        video_path: video.map(|_| {
-            "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4".to_owned()
-        }),
+        data_path: DATA_PATH.to_owned(),
+        video_path: video.map(|_| VIDEO_PATH.to_owned()),
         features: schema::features(spec, video),
         trocar: recording,
     }

@@ -1,4 +1,4 @@
-//! Reading: numbers are loaded at once, images one by one when asked for.
+//! Reading: numbers are loaded at once, images one by one on request.
 
 use std::path::Path;
 
@@ -7,6 +7,7 @@ use image::RgbImage;
 use super::{
     ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, Episode, STATE_WIDTH, TIP_POSE_WIDTH,
     depth::{self, RecordedDepth},
+    error::mismatch,
     joined::Part,
     layout,
     listed::Listed,
@@ -15,7 +16,7 @@ use super::{
     rows::{FileRows, Place, Rows, check_episode},
     schema::{CAMERA_POSE_PREFIX, INTERVENTION, image_feature},
     segments::VideoFrames,
-    spec::{mismatch, read_spec, video_features},
+    spec::{read_spec, video_features},
     table::Table,
 };
 
@@ -291,23 +292,35 @@ impl Dataset {
                 }
             }
             depth::require(&table, &self.spec)?;
-            let file = FileRows::read(&table, self.spec.arms)?;
-            let mut row = 0_usize;
-            for listed in episodes {
-                let rows = row..row.saturating_add(listed.len);
-                check_episode(&table, listed, next, (&file.episode_index, rows.clone()))?;
-                row = rows.end;
-                file.append(&mut self.rows, (self.tables.len(), &table), rows)?;
-                self.episodes.push(Episode {
-                    index: listed.index,
-                    start: next,
-                    len: listed.len,
-                });
-                next += listed.len;
-            }
+            next = self.load_file(&table, episodes, next)?;
             self.tables.push(table);
         }
         Ok(())
+    }
+
+    /// Loads the rows of the `episodes` in the file of `table`, of which the first begins with frame `next` of the dataset; the frame
+    /// after them.
+    fn load_file(
+        &mut self,
+        table: &Table,
+        episodes: &[Listed],
+        mut next: usize,
+    ) -> Result<usize, DatasetError> {
+        let file = FileRows::read(table, self.spec.arms)?;
+        let mut row = 0_usize;
+        for listed in episodes {
+            let rows = row..row.saturating_add(listed.len);
+            check_episode(table, listed, next, (&file.episode_index, rows.clone()))?;
+            row = rows.end;
+            file.append(&mut self.rows, (self.tables.len(), table), rows)?;
+            self.episodes.push(Episode {
+                index: listed.index,
+                start: next,
+                len: listed.len,
+            });
+            next += listed.len;
+        }
+        Ok(next)
     }
 }
 

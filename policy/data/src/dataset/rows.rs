@@ -18,6 +18,20 @@ pub(super) struct Rows {
     pub(super) place: Vec<Place>,
 }
 
+impl Rows {
+    /// Appends the rows of another dataset, whose first table is the `tables`th of this one.
+    pub(super) fn append(&mut self, other: Self, tables: usize) {
+        self.state.extend(other.state);
+        self.tip_pose.extend(other.tip_pose);
+        self.action.extend(other.action);
+        let moved = |place: Place| Place {
+            table: tables + place.table,
+            ..place
+        };
+        self.place.extend(other.place.into_iter().map(moved));
+    }
+}
+
 /// Where a frame is stored.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
@@ -102,21 +116,13 @@ pub(super) fn check_episode(
         return Err(table.mismatch(&what, format!("{} rows long", indices.len()), expected));
     }
     let Some(rows) = indices.get(range) else {
-        return Err(table.mismatch(
-            &what,
-            "cut off by the end of the file".to_owned(),
-            format!("{} rows", listed.len),
-        ));
+        let found = "cut off by the end of the file".to_owned();
+        return Err(table.mismatch(&what, found, format!("{} rows", listed.len)));
     };
-    if let Some(other) = rows
-        .iter()
-        .find(|&&index| usize::try_from(index) != Ok(listed.index))
-    {
-        return Err(table.mismatch(
-            &what,
-            format!("mixed with rows of episode {other}"),
-            "whole".to_owned(),
-        ));
+    let is_other = |index: &&i64| usize::try_from(**index) != Ok(listed.index);
+    if let Some(other) = rows.iter().find(is_other) {
+        let found = format!("mixed with rows of episode {other}");
+        return Err(table.mismatch(&what, found, "whole".to_owned()));
     }
     if listed.len == 0 || listed.start != next {
         let found = format!("{} frames from frame {}", listed.len, listed.start);

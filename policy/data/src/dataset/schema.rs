@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use arrow_schema::{DataType, Field, Schema};
-use hal::{ARM_NAMES, joints::JOINT_NAMES};
+use hal::{ARM_NAMES, Intrinsics, joints::JOINT_NAMES};
 use serde::{
     Deserialize, Deserializer, Serialize, Serializer,
     de::{MapAccess, Visitor},
@@ -11,9 +11,8 @@ use serde::{
 };
 use serde_json::{Value, json};
 
-use super::{
-    ACTION_WIDTH, CameraSpec, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, VideoCodec, depth,
-};
+use super::{ACTION_WIDTH, CameraSpec, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, VideoCodec};
+use crate::perception::DEPTH_UNIT_M;
 
 pub(super) const VERSION: &str = "v3.0";
 /// Versions that are read.
@@ -136,7 +135,7 @@ pub(super) fn features(spec: &DatasetSpec, video: Option<VideoCodec>) -> Vec<(St
         let shape = [camera.height as usize, camera.width as usize, 1];
         let image = || Feature::new("image", &shape, json!(["height", "width", "channels"]));
         let depth = Feature {
-            info: Some(depth::describe(&lens)),
+            info: Some(describe_depth(&lens)),
             ..image()
         };
         let name = &camera.name;
@@ -157,6 +156,15 @@ pub(super) fn features(spec: &DatasetSpec, video: Option<VideoCodec>) -> Vec<(St
         features.push((name.to_owned(), Feature::new("int64", &[1], Value::Null)));
     }
     features
+}
+
+/// What `info.json` says about a camera's depth.
+fn describe_depth(lens: &Intrinsics) -> Value {
+    json!({
+        "is_depth_map": true,
+        "depth_unit_m": DEPTH_UNIT_M,
+        "intrinsics_px": {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy},
+    })
 }
 
 /// What `info.json` says about a camera's video.
@@ -184,17 +192,13 @@ pub(super) fn data_schema(spec: &DatasetSpec, video: Option<VideoCodec>) -> Sche
         vector_field(TIP_POSE, DataType::Float64, spec.arms * TIP_POSE_WIDTH),
         vector_field(ACTION, DataType::Float32, spec.arms * ACTION_WIDTH),
     ];
+    let image = |name: String| Field::new(name, DataType::Struct(image_fields()), true);
     for camera in spec.cameras.iter().filter(|_| video.is_none()) {
-        fields.push(Field::new(
-            image_feature(&camera.name),
-            DataType::Struct(image_fields()),
-            true,
-        ));
+        fields.push(image(image_feature(&camera.name)));
     }
     for (camera, _) in spec.depth_cameras() {
         for prefix in [DEPTH_PREFIX, INSTANCE_PREFIX] {
-            let name = format!("{prefix}{}", camera.name);
-            fields.push(Field::new(name, DataType::Struct(image_fields()), true));
+            fields.push(image(format!("{prefix}{}", camera.name)));
         }
         let name = format!("{CAMERA_POSE_PREFIX}{}", camera.name);
         fields.push(vector_field(&name, DataType::Float64, TIP_POSE_WIDTH));

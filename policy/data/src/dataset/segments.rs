@@ -125,16 +125,14 @@ impl VideoFrames {
         let frame_bytes = 3 * width as usize * height as usize;
         let piece_frames = (PIECE_BYTES / frame_bytes.max(1)).clamp(1, PIECE_FRAMES_MAX);
         let (piece, within) = (frame / piece_frames, frame % piece_frames);
-        let key = (camera, episode, piece);
-        let bytes = match self.recall(key) {
-            Some(bytes) => bytes,
-            None => {
-                let first = piece * piece_frames;
-                let count = piece_frames.min(place.len.saturating_sub(first));
-                let range = [place.first + first, count];
-                let decoded = file.times.decode(&file.path, range, [width, height])?;
-                self.remember(key, Arc::new(decoded))
-            }
+        let bytes = if let Some(bytes) = self.recall((camera, episode, piece)) {
+            bytes
+        } else {
+            let first = piece * piece_frames;
+            let count = piece_frames.min(place.len.saturating_sub(first));
+            let range = [place.first + first, count];
+            let decoded = file.times.decode(&file.path, range, [width, height])?;
+            self.remember((camera, episode, piece), Arc::new(decoded))
         };
         let start = within * frame_bytes;
         let image = bytes.get(start..start + frame_bytes);

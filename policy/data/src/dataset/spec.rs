@@ -1,11 +1,12 @@
 //! What a dataset is of, read from its description and checked.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use hal::ARM_NAMES;
 
 use super::{
     ACTION_WIDTH, CameraSpec, DatasetError, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, depth,
+    error::mismatch,
     layout, meta,
     png::SIDE_MAX,
     schema::{ACTION, Feature, IMAGE_PREFIX, INTERVENTION, Info, STATE, TIP_POSE},
@@ -70,10 +71,12 @@ fn read_arms(path: &Path, info: &Info) -> Result<usize, DatasetError> {
         };
         let Some(found) = arms.clone().find(|arms| feature.shape == [arms * width]) else {
             let expected: Vec<String> = arms.map(|arms| (arms * width).to_string()).collect();
+            let what = format!("the shape of {name}");
+            let found = format!("{:?}", feature.shape);
             return Err(mismatch(
                 path.to_owned(),
-                &format!("the shape of {name}"),
-                format!("{:?}", feature.shape),
+                &what,
+                found,
                 expected.join(" or "),
             ));
         };
@@ -127,19 +130,4 @@ pub(super) fn camera_spec(
         format!("{:?}", feature.shape),
         format!("[height, width, 3], sides up to {SIDE_MAX}"),
     ))
-}
-
-/// Something in `path` that is not as it must be.
-pub(super) fn mismatch(
-    path: PathBuf,
-    what: &str,
-    found: impl ToString,
-    expected: impl ToString,
-) -> DatasetError {
-    DatasetError::Mismatch {
-        path,
-        what: what.to_owned(),
-        found: found.to_string(),
-        expected: expected.to_string(),
-    }
 }

@@ -171,10 +171,25 @@ impl Table {
 
     /// The numbers of a column of lists, each of which must be `width` wide and whole.
     fn lists(&self, column: &ArrayRef, name: &str, width: usize) -> Result<ArrayRef, DatasetError> {
+        let values = self.list_values(column, name, width)?;
+        if values.null_count() > 0 {
+            let found = "null in some rows".to_owned();
+            return Err(self.mismatch(name, found, "a value in each".to_owned()));
+        }
+        Ok(values)
+    }
+
+    /// The numbers of a column of lists of `width`, of which some may be null.
+    fn list_values(
+        &self,
+        column: &ArrayRef,
+        name: &str,
+        width: usize,
+    ) -> Result<ArrayRef, DatasetError> {
         let odd = |found: usize| {
             Err(self.mismatch(name, format!("{found} numbers wide"), width.to_string()))
         };
-        let values = if let Some(lists) = column.as_any().downcast_ref::<ListArray>() {
+        if let Some(lists) = column.as_any().downcast_ref::<ListArray>() {
             // Some writers leave the width out of the type; then every row has its own.
             let other = lists.offsets().lengths().find(|&length| length != width);
             if let Some(other) = other {
@@ -183,20 +198,15 @@ impl Table {
             let offsets = lists.offsets();
             let first = offsets.iter().next().copied().unwrap_or(0);
             let first = usize::try_from(first).unwrap_or(0);
-            lists.values().slice(first, width * lists.len())
+            Ok(lists.values().slice(first, width * lists.len()))
         } else {
             let lists = self.cast::<FixedSizeListArray>(column, name, "a list")?;
             let found = usize::try_from(lists.value_length()).unwrap_or(0);
             if found != width {
                 return odd(found);
             }
-            Arc::clone(lists.values())
-        };
-        if values.null_count() > 0 {
-            let found = "null in some rows".to_owned();
-            return Err(self.mismatch(name, found, "a value in each".to_owned()));
+            Ok(Arc::clone(lists.values()))
         }
-        Ok(values)
     }
 
     /// The encoded image in one row of an image column; reads no more of the file than it has to.

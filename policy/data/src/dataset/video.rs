@@ -123,15 +123,8 @@ impl FrameTimes {
             Some(before) => f64::midpoint(time(before), time(first)),
             None => time(first) - 1.0,
         };
-        let mut command = program("ffmpeg");
-        command.args(["-nostdin", "-threads", "1"]);
-        command.args(["-seek_timestamp", "1", "-ss", &format!("{from:.6}")]);
-        command.arg("-i").arg(url(path)).args(["-map", "0:v:0"]);
-        command.args(["-frames:v", &count.to_string()]);
-        command.args(["-fps_mode", "passthrough", "-f", "rawvideo"]);
-        command.args(["-pix_fmt", "rgb24", "-"]);
         let expected = 3 * width as usize * height as usize * count;
-        let bytes = output(command, path, expected)?;
+        let bytes = output(decode_raw(path, from, count), path, expected)?;
         if bytes.len() != expected {
             let found = bytes.len();
             let what = format!(
@@ -141,6 +134,19 @@ impl FrameTimes {
         }
         Ok(bytes)
     }
+}
+
+/// The command that writes `count` frames of the video `path` as raw RGB to its standard output, from the first one shown at `from_s`
+/// or later on.
+fn decode_raw(path: &Path, from_s: f64, count: usize) -> Command {
+    let mut command = program("ffmpeg");
+    command.args(["-nostdin", "-threads", "1"]);
+    command.args(["-seek_timestamp", "1", "-ss", &format!("{from_s:.6}")]);
+    command.arg("-i").arg(url(path)).args(["-map", "0:v:0"]);
+    command.args(["-frames:v", &count.to_string()]);
+    command.args(["-fps_mode", "passthrough", "-f", "rawvideo"]);
+    command.args(["-pix_fmt", "rgb24", "-"]);
+    command
 }
 
 /// One of ffmpeg's programs, quiet and without a network.

@@ -121,9 +121,6 @@ impl DatasetWriter {
         video: Option<VideoCodec>,
     ) -> Result<Self, DatasetError> {
         let lock = lock(dir)?;
-        let widths = schema::features(spec, video)
-            .into_iter()
-            .filter(|(_, feature)| feature.dtype != "image" && feature.dtype != "video");
         Ok(Self {
             dir: dir.to_owned(),
             spec: spec.clone(),
@@ -131,9 +128,7 @@ impl DatasetWriter {
             schema: Arc::new(schema::data_schema(spec, video)),
             episodes: Vec::new(),
             frame_count: 0,
-            column_stats: widths
-                .map(|(name, feature)| (name, ColumnStats::new(feature.shape[0])))
-                .collect(),
+            column_stats: column_stats(spec, video),
             image_stats: vec![ImageStats::new(); spec.cameras.len()],
             pending: Pending::new(spec),
             notes: Notes::default(),
@@ -169,6 +164,15 @@ impl DatasetWriter {
         self.push_frame_of(frame, false)
     }
 
+    /// Adds the images of the coming frame to the statistics, if it is one of those that count.
+    fn count_colours(&mut self, images: &[&[u8]]) {
+        if self.pending_frames().is_multiple_of(IMAGE_STATS_STRIDE) {
+            for (stats, rgb) in self.pending.image_stats.iter_mut().zip(images) {
+                stats.add(rgb);
+            }
+        }
+    }
+
     /// As [`Self::push_frame`], saying whether an operator drove; kept if [`DatasetSpec::intervention`] says so.
     ///
     /// # Errors
@@ -191,18 +195,9 @@ impl DatasetWriter {
                 Vec::new()
             }
         };
-        if self.pending_frames().is_multiple_of(IMAGE_STATS_STRIDE) {
-            for (stats, rgb) in self.pending.image_stats.iter_mut().zip(frame.images) {
-                stats.add(rgb);
-            }
-        }
+        self.count_colours(frame.images);
         self.pending.push(frame.arms, intervention);
-        for (images, png) in self.pending.images.iter_mut().zip(pngs) {
-            images.push(png);
-        }
-        for (columns, row) in self.pending.depth.iter_mut().zip(depth) {
-            columns.push(row);
-        }
+        self.pending.push_images(pngs, depth);
         Ok(())
     }
 
@@ -449,4 +444,13 @@ fn lock(dir: &Path) -> Result<Option<FolderLock>, DatasetError> {
 /// Folder and file of an episode, which has files of its own.
 const fn file_of(index: usize) -> (usize, usize) {
     (index / CHUNK_SIZE, index % CHUNK_SIZE)
+}
+
+/// Empty statistics of each column of numbers.
+fn column_stats(spec: &DatasetSpec, video: Option<VideoCodec>) -> Vec<(String, ColumnStats)> {
+    schema::features(spec, video)
+        .into_iter()
+        .filter(|(_, feature)| feature.dtype != "image" && feature.dtype != "video")
+        .map(|(name, feature)| (name, ColumnStats::new(feature.shape[0])))
+        .collect()
 }

@@ -84,7 +84,7 @@ pub struct ExportSummary {
     pub warnings: Vec<String>,
 }
 
-/// Writes `options.dataset` as `options.out`. `done` is told after each episode how many there are of how many.
+/// Writes `options.dataset` as `options.out`. After each episode `done` gets the number of episodes so far and of all.
 ///
 /// # Errors
 /// A [`DatasetError`]: a dataset that can't be read or has no camera, a folder that is not empty, sides that video can't have,
@@ -105,6 +105,19 @@ pub fn export_open_h(
     finish(&source, &lines)
 }
 
+/// The note of a failed episode: marked as such, with `words` for an instruction if it has none.
+fn failure_note(notes: &Notes, episode: usize, words: &str) -> Value {
+    let note = note_of(notes, episode).cloned();
+    let mut note = note.unwrap_or_else(|| json!({}));
+    if !splits::is_failure(&note) {
+        note["failure"] = true.into();
+    }
+    if note["instruction"].as_str().is_none_or(str::is_empty) {
+        note["instruction"] = words.into();
+    }
+    note
+}
+
 /// The dataset with its notes; if there are failures, they follow as its last episodes, and the notes say so.
 fn read(options: &ExportOptions) -> Result<(Dataset, Notes), DatasetError> {
     let mut notes = Notes::read(&options.dataset)?;
@@ -122,15 +135,7 @@ fn read(options: &ExportOptions) -> Result<(Dataset, Notes), DatasetError> {
         return Ok((dataset, notes));
     };
     for episode in 0..failed.episodes {
-        let mut note = note_of(&of_failures, episode)
-            .cloned()
-            .unwrap_or_else(|| json!({}));
-        if !splits::is_failure(&note) {
-            note["failure"] = true.into();
-        }
-        if note["instruction"].as_str().is_none_or(str::is_empty) {
-            note["instruction"] = words.clone().into();
-        }
+        let mut note = failure_note(&of_failures, episode, &words);
         note["episode_index"] = json!(kept.episodes + episode);
         notes.episodes.push(note);
     }

@@ -126,23 +126,20 @@ fn joints_of(recording: &Recording, name: &str) -> Result<Numbers, ImportError> 
     Ok(numbers)
 }
 
+/// What LeRobot's datasets call the robot with so many patient-side manipulators.
+pub(super) const fn robot_type(arms: usize) -> &'static str {
+    match arms {
+        1 => "dvrk_psm",
+        _ => "bi_dvrk_psm",
+    }
+}
+
 /// Commanded tip poses and jaws.
 fn poses_of(recording: &Recording, name: &str) -> Result<Numbers, ImportError> {
     let numbers = of_arms(recording, name, ACTION_WIDTH)?;
     for (index, row) in numbers.values.chunks_exact(ACTION_WIDTH).enumerate() {
-        let jaw = JAW_MIN - SLACK..=JAW_MAX + SLACK;
-        let within = row[..3].iter().all(|along| along.abs() <= REACH_M);
-        if !within || !jaw.contains(&row[7]) {
-            let arms = numbers.width / ACTION_WIDTH;
-            let found = format!(
-                "of arm {} is at {:.4e}, {:.4e}, {:.4e} with the jaw at {:.4e} in step {}",
-                index % arms + 1,
-                row[0],
-                row[1],
-                row[2],
-                row[7],
-                index / arms
-            );
+        let arms = numbers.width / ACTION_WIDTH;
+        if let Some(found) = out_of_reach(row, index % arms + 1, index / arms) {
             let expected = format!(
                 "positions in m within [-{REACH_M}, {REACH_M}] and the jaw in rad within [{JAW_MIN:.3}, {JAW_MAX:.3}]"
             );
@@ -150,7 +147,6 @@ fn poses_of(recording: &Recording, name: &str) -> Result<Numbers, ImportError> {
         }
         let length = row[3..7].iter().map(|part| part * part).sum::<f64>().sqrt();
         if (length - 1.0).abs() > UNIT_TOLERANCE {
-            let arms = numbers.width / ACTION_WIDTH;
             return Err(ImportError::Quaternion {
                 place: recording.place.clone(),
                 name: name.to_owned(),
@@ -161,4 +157,17 @@ fn poses_of(recording: &Recording, name: &str) -> Result<Numbers, ImportError> {
         }
     }
     Ok(numbers)
+}
+
+/// Where the pose `row` of an arm is, if it is farther than any arm gets.
+fn out_of_reach(row: &[f64], arm: usize, step: usize) -> Option<String> {
+    let jaw = JAW_MIN - SLACK..=JAW_MAX + SLACK;
+    let within = row[..3].iter().all(|along| along.abs() <= REACH_M);
+    if within && jaw.contains(&row[7]) {
+        return None;
+    }
+    Some(format!(
+        "of arm {arm} is at {:.4e}, {:.4e}, {:.4e} with the jaw at {:.4e} in step {step}",
+        row[0], row[1], row[2], row[7],
+    ))
 }

@@ -25,22 +25,17 @@ pub fn read_chain(path: &Path) -> Result<[DhRow; JOINT_COUNT], ImportError> {
         source,
     })?;
     type Row = (f64, f64, f64, f64, bool);
-    let rows: Vec<Row> = serde_json::from_slice(&text).map_err(|error| {
-        refuse(format!(
-            "{error}; expected six rows [twist, length, offset along, offset about, slides]"
-        ))
-    })?;
+    let expected = "expected six rows [twist, length, offset along, offset about, slides]";
+    let rows: Vec<Row> =
+        serde_json::from_slice(&text).map_err(|error| refuse(format!("{error}; {expected}")))?;
     let rows: [Row; JOINT_COUNT] = rows
         .try_into()
         .map_err(|rows: Vec<Row>| refuse(format!("has {} rows, expected 6", rows.len())))?;
-    for (index, (alpha, a, d, theta, _)) in rows.iter().enumerate() {
-        for value in [alpha, a, d, theta] {
-            if value.abs() > 100.0 {
-                let place = index + 1;
-                return Err(refuse(format!(
-                    "row {place}: {value} is outside [-100, 100] (rad, m)"
-                )));
-            }
+    for (row, (alpha, a, d, theta, _)) in (1..).zip(&rows) {
+        let numbers = [alpha, a, d, theta];
+        if let Some(value) = numbers.into_iter().find(|value| value.abs() > 100.0) {
+            let reason = format!("row {row}: {value} is outside [-100, 100] (rad, m)");
+            return Err(refuse(reason));
         }
     }
     Ok(rows.map(|(alpha, a, d, theta, prismatic)| DhRow {

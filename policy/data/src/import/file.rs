@@ -67,15 +67,7 @@ impl Recording {
             what: "the file".to_owned(),
             source: Box::new(source),
         };
-        let size_bytes = std::fs::metadata(path)
-            .and_then(|found| match found.is_file() {
-                true => Ok(found.len()),
-                false => Err(std::io::ErrorKind::IsADirectory.into()),
-            })
-            .map_err(|source| ImportError::Io {
-                path: path.to_owned(),
-                source,
-            })?;
+        let size_bytes = size_of(path)?;
         // Not mapped into memory: a file that is cut off meanwhile would end the program.
         let storage = Arc::new(FileStorage::open(path).map_err(refuse)?);
         let options = OpenOptions::default()
@@ -87,10 +79,7 @@ impl Recording {
         Ok(Self {
             file,
             size_bytes,
-            place: match episode {
-                Some(episode) => format!("{shown}, {episode}"),
-                None => shown.clone(),
-            },
+            place: episode.map_or_else(|| shown.clone(), |episode| format!("{shown}, {episode}")),
             prefix: episode.map_or(String::new(), |episode| format!("{episode}/")),
         })
     }
@@ -131,6 +120,12 @@ impl Recording {
                 "gzip (1) or lzf (32000), with shuffle (2) and fletcher32 (3) or without";
             return Err(self.mismatch(name, found, expected));
         }
+        self.check_extent(name, &dataset)?;
+        Ok(dataset)
+    }
+
+    /// Refuses a `dataset` that no file of this size can hold.
+    fn check_extent(&self, name: &str, dataset: &Dataset) -> Result<(), ImportError> {
         let shape = dataset.shape();
         let item = hdf5_reader::dtype_element_size(dataset.dtype())
             .map_err(|error| self.unreadable(name, error))?;
@@ -143,7 +138,7 @@ impl Recording {
             let expected = format!("what a file of {} bytes can hold", self.size_bytes);
             return Err(self.mismatch(name, found, expected));
         }
-        Ok(dataset)
+        Ok(())
     }
 
     /// Refuses a `dataset` of which `steps` read at once are in more pieces than fit into memory.
@@ -192,9 +187,8 @@ impl Recording {
             let expected = format!("(steps, numbers), of at most {STEPS_MAX} and {WIDTH_MAX}");
             return Err(self.mismatch(name, found, expected));
         };
-        let values = self
-            .widened(&dataset)
-            .map_err(|error| self.unreadable(name, error))?;
+        let values = self.widened(&dataset);
+        let values = values.map_err(|error| self.unreadable(name, error))?;
         let Some(values) = values else {
             let found = format!("is of {}", kind(dataset.dtype()));
             let expected = "floats of 32 or 64 bits, or integers of up to 32";
@@ -257,6 +251,18 @@ impl Recording {
             expected: expected.into(),
         }
     }
+}
+
+/// The size of the file `path`, bytes.
+fn size_of(path: &Path) -> Result<u64, ImportError> {
+    let found = std::fs::metadata(path).and_then(|found| match found.is_file() {
+        true => Ok(found.len()),
+        false => Err(std::io::ErrorKind::IsADirectory.into()),
+    });
+    found.map_err(|source| ImportError::Io {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 fn all<T: H5Type + Copy + Into<f64>>(dataset: &Dataset) -> Result<Vec<f64>, Error> {

@@ -17,26 +17,31 @@ pub(super) fn decompress(packed: &[u8], most: usize) -> Option<Vec<u8>> {
             out.extend_from_slice(literal);
             rest = after;
         } else {
-            let mut length = (control >> 5) + 2;
-            if length == 9 {
-                let (&more, after) = rest.split_first()?;
-                length += usize::from(more);
-                rest = after;
-            }
-            let (&low, after) = rest.split_first()?;
-            rest = after;
-            let back = ((control & 31) << 8 | usize::from(low)) + 1;
-            let start = out.len().checked_sub(back)?;
-            // The stretch may reach into what it itself adds.
-            for place in start..start + length {
-                out.push(out[place]);
-            }
+            rest = repeat(control, rest, &mut out)?;
         }
         if out.len() > most {
             return None;
         }
     }
     Some(out)
+}
+
+/// Appends a stretch of `out` again, as `control` and what follows it say; what follows after that.
+fn repeat<'a>(control: usize, mut rest: &'a [u8], out: &mut Vec<u8>) -> Option<&'a [u8]> {
+    let mut length = (control >> 5) + 2;
+    if length == 9 {
+        let (&more, after) = rest.split_first()?;
+        length += usize::from(more);
+        rest = after;
+    }
+    let (&low, after) = rest.split_first()?;
+    let back = ((control & 31) << 8 | usize::from(low)) + 1;
+    let start = out.len().checked_sub(back)?;
+    // The stretch may reach into what it itself adds.
+    for place in start..start + length {
+        out.push(out[place]);
+    }
+    Some(after)
 }
 
 #[cfg(test)]

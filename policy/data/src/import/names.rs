@@ -36,9 +36,8 @@ impl Names {
         let joints = joints.or_else(|| act.then(|| "observations/qpos".to_owned()));
         let action = match (&options.action_joints, &options.action_pose) {
             (Some(_), Some(_)) => {
-                return refuse(
-                    "--action-joints and --action-pose: one of them is needed, not both",
-                );
+                let both = "--action-joints and --action-pose: one of them is needed, not both";
+                return refuse(both);
             }
             (Some(name), None) => Some(Action::Joints(name.clone())),
             (None, Some(name)) => Some(Action::Pose(name.clone())),

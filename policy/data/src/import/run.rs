@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::arms::Arms;
+use super::arms::{Arms, robot_type};
 use super::file::Recording;
 use super::names::Names;
 use super::pictures::{Form, Pictures};
@@ -50,8 +50,8 @@ fn described(camera: &CameraSpec) -> String {
     format!("{} ({} x {})", camera.name, camera.width, camera.height)
 }
 
-/// Writes all episodes of `options.source` as the dataset `options.out`. `done` is told after each how many there are of how
-/// many.
+/// Writes all episodes of `options.source` as the dataset `options.out`. After each `done` gets the number of
+/// episodes so far and of all.
 ///
 /// # Errors
 /// An [`ImportError`] that names the file, the dataset in it, the step and what would do. What an episode's tables and the sizes
@@ -65,11 +65,7 @@ pub fn import(
     let shape = survey(options, &names, &episodes)?;
     let spec = DatasetSpec {
         fps: options.fps,
-        robot_type: match shape.arms {
-            1 => "dvrk_psm",
-            _ => "bi_dvrk_psm",
-        }
-        .to_owned(),
+        robot_type: robot_type(shape.arms).to_owned(),
         arms: shape.arms,
         task: options.task.clone(),
         cameras: shape.cameras,
@@ -100,20 +96,9 @@ fn survey(
     for episode in episodes {
         let recording = episode.open()?;
         let arms = Arms::read(&recording, names, &options.chain)?;
-        let mut found = Vec::new();
-        for (name, path) in cameras(&recording, options)? {
-            let (width, height) =
-                Pictures::open(&recording, &path, arms.steps, options.form())?.size()?;
-            found.push(CameraSpec {
-                name,
-                width,
-                height,
-                depth: None,
-            });
-        }
         let shape = Shape {
             arms: arms.count,
-            cameras: found,
+            cameras: camera_specs(&recording, options, arms.steps)?,
         };
         match &first {
             None => first = Some(shape),
@@ -127,6 +112,26 @@ fn survey(
     first.ok_or_else(|| ImportError::Options("there is no episode".to_owned()))
 }
 
+/// The cameras of a recording with their sizes; each must have an image a step.
+fn camera_specs(
+    recording: &Recording,
+    options: &ImportOptions,
+    steps: usize,
+) -> Result<Vec<CameraSpec>, ImportError> {
+    let mut found = Vec::new();
+    for (name, path) in cameras(recording, options)? {
+        let mut pictures = Pictures::open(recording, &path, steps, options.form())?;
+        let (width, height) = pictures.size()?;
+        found.push(CameraSpec {
+            name,
+            width,
+            height,
+            depth: None,
+        });
+    }
+    Ok(found)
+}
+
 fn copy(
     recording: &Recording,
     options: &ImportOptions,
@@ -137,18 +142,14 @@ fn copy(
     let arms = Arms::read(recording, names, &options.chain)?;
     let paths = cameras(recording, options)?;
     let mut pictures = Vec::new();
-    for ((_, path), camera) in paths.iter().zip(&spec.cameras) {
-        let size = (camera.width, camera.height);
-        pictures.push((
-            Pictures::open(recording, path, arms.steps, options.form())?,
-            size,
-        ));
+    for (_, path) in &paths {
+        let opened = Pictures::open(recording, path, arms.steps, options.form())?;
+        pictures.push(opened);
     }
     for (step, arms) in arms.by_step().enumerate() {
-        let images: Result<Vec<&[u8]>, ImportError> = pictures
-            .iter_mut()
-            .map(|(pictures, size)| pictures.rgb(step, *size))
-            .collect();
+        let images = pictures.iter_mut().zip(&spec.cameras);
+        let images = images.map(|(pictures, it)| pictures.rgb(step, (it.width, it.height)));
+        let images: Result<Vec<&[u8]>, ImportError> = images.collect();
         writer.push_frame(&FrameRecord {
             arms,
             images: &images?,

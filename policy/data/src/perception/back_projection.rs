@@ -72,20 +72,24 @@ pub fn back_project(
         check(index, frame)?;
         let camera_in_cloud = match cloud_frame {
             CloudFrame::Scene => frame.camera_in_scene,
-            // Exactly the identity, which a pose times its inverse is not.
-            CloudFrame::FirstCamera if index == 0 => Pose::identity(),
-            CloudFrame::FirstCamera => first.camera_in_scene.inverse() * frame.camera_in_scene,
+            CloudFrame::FirstCamera => in_first(index, first, frame),
         };
         let view = View::new(&frame.intrinsics, &camera_in_cloud);
-        let seen = view.project(frame, crop, instances, &mut points);
-        refused.pixels += seen.pixels;
-        refused.of_instance += seen.of_instance;
-        refused.with_depth += seen.with_depth;
+        refused.add(&view.project(frame, crop, instances, &mut points));
     }
     if points.is_empty() {
         return Err(PerceptionError::Empty(refused));
     }
     Ok(points)
+}
+
+/// The pose of the camera of `frame`, the `index`th, in that of the `first`.
+fn in_first(index: usize, first: &FrameRef<'_>, frame: &FrameRef<'_>) -> Pose {
+    // Exactly the identity, which a pose times its inverse is not.
+    if index == 0 {
+        return Pose::identity();
+    }
+    first.camera_in_scene.inverse() * frame.camera_in_scene
 }
 
 fn check(index: usize, frame: &FrameRef<'_>) -> Result<(), PerceptionError> {

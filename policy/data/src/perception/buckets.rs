@@ -193,16 +193,7 @@ impl Grid {
         if points.is_empty() {
             return Err(PerceptionError::NothingToChoose);
         }
-        let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-        for (index, point) in points.iter().enumerate() {
-            for axis in 0..3 {
-                if !point[axis].is_finite() {
-                    return Err(PerceptionError::NotFinite { index });
-                }
-                min[axis] = min[axis].min(point[axis]);
-                max[axis] = max[axis].max(point[axis]);
-            }
-        }
+        let (min, max) = corners(points)?;
         let buckets = (points.len() / POINTS_PER_BUCKET).clamp(1, BUCKETS_MAX) as f32;
         let extent: Point = core::array::from_fn(|axis| max[axis] - min[axis]);
         let surface = extent[0] * extent[1] + extent[1] * extent[2] + extent[2] * extent[0];
@@ -235,4 +226,19 @@ impl Grid {
         });
         ((x * self.counts[1] + y) * self.counts[2] + z) as u32
     }
+}
+
+/// The lowest and the highest coordinates of `points`, m.
+fn corners(points: &[Point]) -> Result<(Point, Point), PerceptionError> {
+    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for (index, point) in points.iter().enumerate() {
+        for axis in 0..3 {
+            if !point[axis].is_finite() {
+                return Err(PerceptionError::NotFinite { index });
+            }
+            min[axis] = min[axis].min(point[axis]);
+            max[axis] = max[axis].max(point[axis]);
+        }
+    }
+    Ok((min, max))
 }

@@ -13,6 +13,15 @@ pub struct Refused {
     pub with_depth: usize,
 }
 
+impl Refused {
+    /// Adds those of another frame.
+    pub(super) const fn add(&mut self, other: &Self) {
+        self.pixels += other.pixels;
+        self.of_instance += other.of_instance;
+        self.with_depth += other.with_depth;
+    }
+}
+
 impl fmt::Display for Refused {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
@@ -70,11 +79,11 @@ pub enum PerceptionError {
     /// The cubes for thinning have no size.
     #[error("voxel_m = {side_m} is not a positive, finite length")]
     Voxel {
-        /// What was asked for, m.
+        /// The requested side, m.
         side_m: f32,
     },
-    /// Nothing was asked for.
-    #[error("a cloud of no points was asked for")]
+    /// The requested number of points is 0.
+    #[error("a cloud of no points was requested")]
     NoPoints,
     /// Nothing is left of the frames. A cloud is refused for it only if wanted pixels are in view and none has a depth.
     #[error("no point is left: {0}")]
@@ -82,8 +91,8 @@ pub enum PerceptionError {
     /// There is no point to choose from.
     #[error("there is no point to choose from")]
     NothingToChoose,
-    /// There are fewer points than neighbours asked for.
-    #[error("{wanted} neighbours were asked for among {points} points")]
+    /// There are fewer points than neighbours requested.
+    #[error("{wanted} neighbours were requested among {points} points")]
     TooFewNeighbours {
         /// Neighbours of each centre.
         wanted: usize,

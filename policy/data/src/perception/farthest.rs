@@ -15,7 +15,7 @@ use super::error::PerceptionError;
 /// zero. Squared distances are `(dx² + dy²) + dz²` in single precision.
 ///
 /// # Errors
-/// [`PerceptionError`] if there is no point, one is not finite, or none was asked for.
+/// [`PerceptionError`] if there is no point, one is not finite, or `count` is 0.
 pub fn farthest_points(points: &[Point], count: usize) -> Result<Vec<usize>, PerceptionError> {
     if count == 0 {
         return Err(PerceptionError::NoPoints);

@@ -43,7 +43,7 @@ pub fn shows_nothing(cloud: &[Point]) -> bool {
     cloud.iter().all(|point| *point == NOWHERE)
 }
 
-/// What fills the cloud when there are fewer points than asked for.
+/// What fills the cloud when there are fewer points than it must have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Padding {
@@ -99,7 +99,12 @@ pub fn point_cloud(
         Some(side_m) => thin(&seen, side_m)?,
         None => seen,
     };
-    let chosen = farthest_points(&kept, options.points)?;
+    resized(&kept, options)
+}
+
+/// As many of `kept` as `options` wants, the farthest first, padded where they are too few.
+fn resized(kept: &[Point], options: &CloudOptions) -> Result<Vec<Point>, PerceptionError> {
+    let chosen = farthest_points(kept, options.points)?;
     let mut cloud: Vec<Point> = chosen.iter().map(|&index| kept[index]).collect();
     if options.padding == Padding::Origin && cloud.len() > kept.len() {
         cloud[kept.len()..].fill(NOWHERE);

@@ -19,8 +19,7 @@ pub fn thin(points: &[Point], side_m: f32) -> Result<Vec<Point>, PerceptionError
     }
     // Twice as many places as points, so that the search for a free one stays short. What comes out does not depend on
     // where anything lies in the table.
-    let mask = (2 * points.len()).next_power_of_two().saturating_sub(1);
-    let mut table = vec![FREE; mask + 1];
+    let mut table = vec![FREE; (2 * points.len()).next_power_of_two()];
     let mut kept: Vec<Point> = Vec::new();
     let mut cubes: Vec<[i32; 3]> = Vec::new();
     let mut last = None;
@@ -31,22 +30,29 @@ pub fn thin(points: &[Point], side_m: f32) -> Result<Vec<Point>, PerceptionError
             continue;
         }
         last = Some(cube);
-        let mut place = scatter(cube) & mask;
-        loop {
-            let entry = table[place];
-            if entry == FREE {
-                table[place] = u32::try_from(cubes.len()).unwrap_or(FREE);
-                cubes.push(cube);
-                kept.push(*point);
-                break;
-            }
-            if cubes[entry as usize] == cube {
-                break;
-            }
-            place = (place + 1) & mask;
+        if let Some(place) = free_place(&table, &cubes, cube) {
+            table[place] = u32::try_from(cubes.len()).unwrap_or(FREE);
+            cubes.push(cube);
+            kept.push(*point);
         }
     }
     Ok(kept)
+}
+
+/// Where in the hash table `cube`, which is not in it, belongs; `None` if it is. The table's length is a power of two.
+fn free_place(table: &[u32], cubes: &[[i32; 3]], cube: [i32; 3]) -> Option<usize> {
+    let mask = table.len() - 1;
+    let mut place = scatter(cube) & mask;
+    loop {
+        let entry = table[place];
+        if entry == FREE {
+            return Some(place);
+        }
+        if cubes[entry as usize] == cube {
+            return None;
+        }
+        place = (place + 1) & mask;
+    }
 }
 
 #[expect(

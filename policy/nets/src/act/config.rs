@@ -2,8 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::resnet::STAGES;
 use crate::dimension::dimension;
+
+/// Stages of a ResNet-18.
+pub(crate) const STAGES: usize = 4;
 
 /// Normalisation layers of the backbone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -18,11 +18,11 @@ use std::collections::BTreeMap;
 
 use tch::{TchError, Tensor};
 
+pub(crate) use config::STAGES;
 pub use config::{ActConfig, ActPreset, BackboneNorm, DecoderOutput, LossDenominator, STATE_DIM};
 pub use folded::FoldedAct;
 pub(crate) use folded::{FoldedTrunk, Situated};
 pub use loss::{ActionError, Losses, action_loss, l1_loss, losses};
-pub(crate) use resnet::STAGES;
 pub use resnet::by_hand::KeptPass;
 pub(crate) use trunk::{Seen, Trunk};
 pub use vae::LatentDistribution;

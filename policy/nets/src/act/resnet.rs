@@ -9,14 +9,19 @@ mod tests;
 
 use tch::{Kind, TchError, Tensor};
 
-use super::config::BackboneNorm;
+use super::config::{BackboneNorm, STAGES};
 use crate::parameters::{Init, ParameterError, ParameterSource};
 
 /// Output channels of the four stages.
-const STAGE_CHANNELS: [i64; 4] = [64, 128, 256, 512];
+const STAGE_CHANNELS: [i64; STAGES] = [64, 128, 256, 512];
 
-/// All of them.
-pub(crate) const STAGES: usize = STAGE_CHANNELS.len();
+/// The first convolution.
+const STEM: ConvShape = ConvShape {
+    inputs: 3,
+    outputs: 64,
+    size: 7,
+    stride: 2,
+};
 
 /// Channels that one group of a group normalisation holds.
 const CHANNELS_PER_GROUP: i64 = 16;
@@ -38,17 +43,7 @@ impl ResNet18 {
         stages: usize,
     ) -> Result<Self, ParameterError> {
         let stem_keys = [format!("{prefix}.conv1"), format!("{prefix}.bn1")];
-        let stem = Conv::new(
-            source,
-            &stem_keys,
-            ConvShape {
-                inputs: 3,
-                outputs: 64,
-                size: 7,
-                stride: 2,
-            },
-            norm,
-        )?;
+        let stem = Conv::new(source, &stem_keys, STEM, norm)?;
         let mut blocks = Vec::new();
         let mut inputs = 64;
         for (stage, outputs) in STAGE_CHANNELS.into_iter().enumerate().take(stages) {
@@ -256,19 +251,28 @@ impl Norm {
                 weight: source.trainable(&weight_key, &[channels], &one)?,
                 bias: source.trainable(&bias_key, &[channels], &zero)?,
             }),
-            BackboneNorm::FrozenBatchNorm => {
-                let weight = source.fixed(&weight_key, &[channels], &one)?;
-                let bias = source.fixed(&bias_key, &[channels], &zero)?;
-                let mean = source.fixed(&format!("{key}.running_mean"), &[channels], &zero)?;
-                let variance = source.fixed(&format!("{key}.running_var"), &[channels], &one)?;
-                let scale = weight.f_mul(&variance.f_add_scalar(NORM_EPS)?.f_rsqrt()?)?;
-                let shift = bias.f_sub(&mean.f_mul(&scale)?)?;
-                Ok(Self::Frozen {
-                    scale: scale.f_view([1, -1, 1, 1])?,
-                    shift: shift.f_view([1, -1, 1, 1])?,
-                })
-            }
+            BackboneNorm::FrozenBatchNorm => Self::frozen(source, key, channels),
         }
+    }
+
+    /// Batch normalisation with fixed statistics, as the scale and the shift that it amounts to.
+    fn frozen(
+        source: &mut ParameterSource,
+        key: &str,
+        channels: i64,
+    ) -> Result<Self, ParameterError> {
+        let (one, zero) = (Init::Constant(1.0), Init::Constant(0.0));
+        let mut fixed =
+            |name: &str, init| source.fixed(&format!("{key}.{name}"), &[channels], init);
+        let (weight, bias) = (fixed("weight", &one)?, fixed("bias", &zero)?);
+        let mean = fixed("running_mean", &zero)?;
+        let variance = fixed("running_var", &one)?;
+        let scale = weight.f_mul(&variance.f_add_scalar(NORM_EPS)?.f_rsqrt()?)?;
+        let shift = bias.f_sub(&mean.f_mul(&scale)?)?;
+        Ok(Self::Frozen {
+            scale: scale.f_view([1, -1, 1, 1])?,
+            shift: shift.f_view([1, -1, 1, 1])?,
+        })
     }
 
     /// The same for numbers of `kind`. Statistics are rounded only here, as one scale and one shift: a variance or a mean that was

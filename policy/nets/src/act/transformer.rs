@@ -157,20 +157,11 @@ impl DecoderLayer {
         key: &str,
         config: &ActConfig,
     ) -> Result<Self, ParameterError> {
-        let width = config.dim_model;
+        let (width, heads) = (config.dim_model, config.n_heads);
+        let place = |name: &str| format!("{key}.{name}");
         Ok(Self {
-            self_attention: Attention::new(
-                source,
-                &format!("{key}.self_attn"),
-                width,
-                config.n_heads,
-            )?,
-            cross_attention: Attention::new(
-                source,
-                &format!("{key}.multihead_attn"),
-                width,
-                config.n_heads,
-            )?,
+            self_attention: Attention::new(source, &place("self_attn"), width, heads)?,
+            cross_attention: Attention::new(source, &place("multihead_attn"), width, heads)?,
             feed_forward: FeedForward::new(source, key, width, config.dim_feedforward)?,
             norms: [
                 LayerNorm::new(source, &format!("{key}.norm1"), width)?,

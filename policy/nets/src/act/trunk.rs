@@ -93,20 +93,25 @@ impl Trunk {
             let latent = demonstration.noise.f_zeros_like()?.f_to_kind(kind)?;
             return Ok((self.decode(seen, state, &latent, self.dropout)?, None));
         };
-        let Demonstration {
-            actions,
-            is_pad,
-            noise,
-        } = demonstration;
-        let latent = vae.forward(
-            &state.f_to_kind(kind)?,
-            &actions.f_to_kind(kind)?,
-            is_pad,
-            self.dropout,
-        )?;
-        let sample = latent.sample(&noise.f_to_kind(kind)?)?;
+        let (state_in_kind, actions) = (
+            state.f_to_kind(kind)?,
+            demonstration.actions.f_to_kind(kind)?,
+        );
+        let is_pad = demonstration.is_pad;
+        let latent = vae.forward(&state_in_kind, &actions, is_pad, self.dropout)?;
+        let sample = latent.sample(&demonstration.noise.f_to_kind(kind)?)?;
         let chunk = self.decode(seen, state, &sample, self.dropout)?;
         Ok((chunk, Some(latent)))
+    }
+
+    /// Position embeddings of latent, state and what is seen: `(views, tokens, width)`.
+    fn positions(&self, seen: &Seen<'_>) -> Result<Tensor, TchError> {
+        let views = seen.position.size()[0];
+        let leading = self
+            .token_position
+            .f_unsqueeze(0)?
+            .f_expand([views, -1, -1], false)?;
+        Tensor::f_cat(&[&leading, seen.position], 1)
     }
 
     fn decode(
@@ -123,12 +128,7 @@ impl Trunk {
             .forward(&state.f_to_kind(kind)?)?
             .f_unsqueeze(1)?;
         let tokens = Tensor::f_cat(&[&latent, &state, seen.tokens], 1)?;
-        let views = seen.position.size()[0];
-        let leading = self
-            .token_position
-            .f_unsqueeze(0)?
-            .f_expand([views, -1, -1], false)?;
-        let position = Tensor::f_cat(&[&leading, seen.position], 1)?;
+        let position = self.positions(seen)?;
         let encoded = self.encoder.forward(&tokens, &position, None, dropout)?;
         let memory = Memory {
             tokens: &encoded,

@@ -42,23 +42,16 @@ impl VaeEncoder {
         let position = source.fixed(&key("pos_enc"), &[1, tokens, width], &table)?;
         let class_token =
             source.trainable(&key("cls_embed.weight"), &[1, width], &Init::Normal(1.0))?;
+        let encoder = Encoder::new(source, VAE_PREFIX, config.n_vae_encoder_layers, config)?;
+        let mut linear =
+            |name: &str, inputs, outputs| Linear::new(source, &key(name), inputs, outputs);
         Ok(Self {
-            encoder: Encoder::new(source, VAE_PREFIX, config.n_vae_encoder_layers, config)?,
+            encoder,
             position: position.f_to_kind(class_token.kind())?,
             class_token,
-            state: Linear::new(
-                source,
-                &key("robot_state_input_proj"),
-                config.state_dim,
-                width,
-            )?,
-            action: Linear::new(source, &key("action_input_proj"), config.action_dim, width)?,
-            output: Linear::new(
-                source,
-                &key("latent_output_proj"),
-                width,
-                2 * config.latent_dim,
-            )?,
+            state: linear("robot_state_input_proj", config.state_dim, width)?,
+            action: linear("action_input_proj", config.action_dim, width)?,
+            output: linear("latent_output_proj", width, 2 * config.latent_dim)?,
         })
     }
 
@@ -77,9 +70,8 @@ impl VaeEncoder {
         let always = Tensor::f_ones([batch, 2], (Kind::Bool, is_pad.device()))?;
         let allowed =
             Tensor::f_cat(&[always, is_pad.f_logical_not()?], 1)?.f_view([batch, 1, 1, -1])?;
-        let encoded = self
-            .encoder
-            .forward(&tokens, &self.position, Some(&allowed), dropout)?;
+        let (encoder, position) = (&self.encoder, &self.position);
+        let encoded = encoder.forward(&tokens, position, Some(&allowed), dropout)?;
         let parts = self
             .output
             .forward(&encoded.f_select(1, 0)?)?

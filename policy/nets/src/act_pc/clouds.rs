@@ -53,13 +53,7 @@ impl Clouds {
     ) -> Result<Self, CloudsError> {
         let (mut points, mut centres, mut neighbours) = (Vec::new(), Vec::new(), Vec::new());
         for (index, cloud) in clouds.iter().enumerate() {
-            if i64::try_from(cloud.len()) != Ok(config.points) {
-                return Err(CloudsError::Count {
-                    cloud: index,
-                    expected: config.points,
-                    actual: cloud.len(),
-                });
-            }
+            check_count(index, cloud.len(), config.points)?;
             let chosen = farthest_points(cloud, length(config.tokens))?;
             let places: Vec<Point> = chosen.iter().map(|&index| cloud[index]).collect();
             let around = nearest_points(cloud, &places, length(config.neighbours))?;
@@ -77,4 +71,15 @@ impl Clouds {
             )?,
         })
     }
+}
+
+fn check_count(cloud: usize, actual: usize, expected: i64) -> Result<(), CloudsError> {
+    if i64::try_from(actual) == Ok(expected) {
+        return Ok(());
+    }
+    Err(CloudsError::Count {
+        cloud,
+        expected,
+        actual,
+    })
 }

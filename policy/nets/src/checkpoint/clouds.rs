@@ -98,21 +98,21 @@ pub(super) fn read_statistics(
     let of = |feature: &str| {
         statistics(&values, feature, dimension(dims)).map_err(|cause| cause.in_file(&file))
     };
-    let corner = |name: &str| -> Result<Point, CheckpointError> {
-        let found = values.get(&format!("observation.points.{name}"));
-        let point = found.and_then(|plain| plain.values.as_slice().try_into().ok());
-        point.ok_or_else(|| {
-            Cause::Statistics {
-                feature: "observation.points".to_owned(),
-                defect: format!("{name} is missing or not of three numbers"),
-            }
-            .in_file(&file)
-        })
-    };
+    let corner = |name: &str| corner(&values, name).map_err(|cause| cause.in_file(&file));
     Ok(CloudStatistics {
         state: of("observation.state")?,
         action: of("action")?,
         points: [corner("min")?, corner("max")?],
+    })
+}
+
+/// The lowest or the highest coordinates of all points, m.
+fn corner(values: &BTreeMap<String, Plain>, name: &str) -> Result<Point, Cause> {
+    let found = values.get(&format!("observation.points.{name}"));
+    let point = found.and_then(|plain| plain.values.as_slice().try_into().ok());
+    point.ok_or_else(|| Cause::Statistics {
+        feature: "observation.points".to_owned(),
+        defect: format!("{name} is missing or not of three numbers"),
     })
 }
 

@@ -17,8 +17,7 @@ mod processors;
 mod recipe;
 #[cfg(test)]
 mod refusal_tests;
-mod segmenter;
-mod tensors;
+pub(crate) mod tensors;
 #[cfg(test)]
 mod tests;
 
@@ -38,7 +37,6 @@ pub use recipe::{
     AggregationName, DatasetPart, DatasetSummary, PolicyPreset, RECIPE_FORMAT, Recipe,
     RecommendedAggregation, RecordedCamera, Variants,
 };
-pub use segmenter::{load_segmenter, save_segmenter};
 pub use tensors::Precision;
 
 use crate::act::{Act, ActConfig, STATE_DIM, VAE_PREFIX};

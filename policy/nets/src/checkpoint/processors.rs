@@ -181,8 +181,13 @@ fn check_step(step: &Value, config: &ActConfig) -> Result<(), Cause> {
     if !eps.is_null() && eps.as_f64().is_none_or(|eps| (eps - EPS).abs() > 1e-12) {
         return Err(unsupported("eps".to_owned(), eps, &json!(EPS)));
     }
+    check_shapes(&of_step["features"], config)
+}
+
+/// The features of a step must have the shapes that they have in `config`.
+fn check_shapes(of_step: &Value, config: &ActConfig) -> Result<(), Cause> {
     for (name, feature) in features(config).into_iter().flatten() {
-        let (found, expected) = (&of_step["features"][&name]["shape"], feature.shape());
+        let (found, expected) = (&of_step[&name]["shape"], feature.shape());
         if !found.is_null() && *found != json!(expected) {
             return Err(Cause::Inconsistent(format!(
                 "{name} has shape {found}, but {expected:?} in config.json"

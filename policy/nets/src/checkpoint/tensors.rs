@@ -25,13 +25,13 @@ pub enum Precision {
 
 /// A tensor outside the network library: shape and values, row-major.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Plain {
+pub(crate) struct Plain {
     pub(super) shape: Vec<usize>,
     pub(super) values: Vec<f32>,
 }
 
 /// All tensors of `file`.
-pub(super) fn read(file: &Path) -> Result<BTreeMap<String, Plain>, CheckpointError> {
+pub(crate) fn read(file: &Path) -> Result<BTreeMap<String, Plain>, CheckpointError> {
     read_some(file, |_| true)
 }
 
@@ -48,26 +48,26 @@ pub(super) fn read_some(
         if !wanted(key) {
             continue;
         }
-        let values = values_of(&view).ok_or_else(|| {
-            Cause::ElementType {
-                key: key.to_owned(),
-                kind: format!("{:?}", view.dtype()),
-            }
-            .in_file(file)
-        })?;
-        tensors.insert(
-            key.to_owned(),
-            Plain {
-                shape: view.shape().to_vec(),
-                values,
-            },
-        );
+        let plain = plain_of(key, &view).map_err(|cause| cause.in_file(file))?;
+        tensors.insert(key.to_owned(), plain);
     }
     Ok(tensors)
 }
 
+/// The values of the tensor `key` in single precision.
+fn plain_of(key: &str, view: &TensorView<'_>) -> Result<Plain, Cause> {
+    let values = values_of(view).ok_or_else(|| Cause::ElementType {
+        key: key.to_owned(),
+        kind: format!("{:?}", view.dtype()),
+    })?;
+    Ok(Plain {
+        shape: view.shape().to_vec(),
+        values,
+    })
+}
+
 /// The text in the description of `file` under `key`.
-pub(super) fn read_about(file: &Path, key: &str) -> Result<Option<String>, CheckpointError> {
+pub(crate) fn read_about(file: &Path, key: &str) -> Result<Option<String>, CheckpointError> {
     let bytes = fs::read(file).map_err(|error| Cause::io(error).in_file(file))?;
     let (_, about) = SafeTensors::read_metadata(&bytes)
         .map_err(|error| Cause::Safetensors(error).in_file(file))?;
@@ -109,7 +109,7 @@ pub(super) fn write(
 }
 
 /// The same with a text in the file's description, under a key.
-pub(super) fn write_about(
+pub(crate) fn write_about(
     file: &Path,
     tensors: &BTreeMap<String, Plain>,
     precision: Precision,
@@ -119,23 +119,15 @@ pub(super) fn write_about(
         Precision::F16 => Dtype::F16,
         Precision::F32 => Dtype::F32,
     };
-    let encoded: Vec<(&str, &[usize], Vec<u8>)> = tensors
-        .iter()
-        .map(|(key, plain)| {
-            (
-                key.as_str(),
-                plain.shape.as_slice(),
-                encode(&plain.values, precision),
-            )
-        })
+    let values = tensors.values();
+    let encoded: Vec<Vec<u8>> = values
+        .map(|plain| encode(&plain.values, precision))
         .collect();
     let mut views = Vec::with_capacity(encoded.len());
-    for (key, shape, bytes) in &encoded {
-        let view = TensorView::new(dtype, shape.to_vec(), bytes);
-        views.push((
-            *key,
-            view.map_err(|error| Cause::Safetensors(error).in_file(file))?,
-        ));
+    for ((key, plain), bytes) in tensors.iter().zip(&encoded) {
+        let view = TensorView::new(dtype, plain.shape.clone(), bytes);
+        let view = view.map_err(|error| Cause::Safetensors(error).in_file(file))?;
+        views.push((key.as_str(), view));
     }
     let about = about.map(|(key, text)| [(key.to_owned(), text)].into_iter().collect());
     let bytes = safetensors::serialize(views, about)
@@ -165,7 +157,7 @@ pub(super) fn replace(file: &Path, bytes: &[u8]) -> Result<(), CheckpointError> 
 
 impl Plain {
     /// A copy of `tensor`, from wherever it is.
-    pub(super) fn from_tensor(tensor: &Tensor) -> Result<Self, TchError> {
+    pub(crate) fn from_tensor(tensor: &Tensor) -> Result<Self, TchError> {
         let shape = tensor.size().iter().map(|&side| length(side)).collect();
         let flat = tensor
             .f_detach()?
@@ -179,7 +171,7 @@ impl Plain {
     }
 
     /// The tensor on `device`. Filters have their channels last in memory, as the images that meet them.
-    pub(super) fn to_tensor(&self, device: Device) -> Result<Tensor, TchError> {
+    pub(crate) fn to_tensor(&self, device: Device) -> Result<Tensor, TchError> {
         let shape: Vec<i64> = self
             .shape
             .iter()

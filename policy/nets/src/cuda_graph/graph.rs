@@ -45,7 +45,7 @@ impl Graph {
     /// have no CUDA, `device` is not the thread's current one, or this work can't be captured. `work` runs twice before, so that
     /// what the libraries set up at first is done.
     ///
-    /// libtorch's own exceptions end the process here: no answer was asked for yet, and nothing moves.
+    /// libtorch's own exceptions end the process here: no action was requested yet, and nothing moves.
     pub(super) fn capture<T>(
         device: i32,
         mut work: impl FnMut() -> Result<T, TchError>,

@@ -181,11 +181,7 @@ impl ResidualBlock {
         channels: [i64; 2],
         shape: BlockShape,
     ) -> Result<Self, ParameterError> {
-        let BlockShape {
-            kernel,
-            groups,
-            condition,
-        } = shape;
+        let (kernel, groups) = (shape.kernel, shape.groups);
         let [inputs, outputs] = channels;
         let place = |index: usize| format!("{key}.blocks.{index}");
         let first = ConvolutionBlock::new(source, &place(0), channels, kernel, groups)?;
@@ -199,7 +195,7 @@ impl ResidualBlock {
         let key = format!("{key}.cond_encoder.1");
         Ok(Self {
             blocks: [first, second],
-            condition: Linear::new(source, &key, condition, 2 * outputs)?,
+            condition: Linear::new(source, &key, shape.condition, 2 * outputs)?,
             residual,
         })
     }

@@ -88,34 +88,35 @@ impl Dp3Config {
     /// What makes this configuration impossible to build, if anything does.
     #[must_use]
     pub fn defect(&self) -> Option<String> {
-        let sizes = [
+        self.range_defect()
+            .or_else(|| self.width_defect())
+            .or_else(|| self.horizon_defect())
+    }
+
+    /// The first size outside of its range: keys, values, least and greatest.
+    fn range_defect(&self) -> Option<String> {
+        let (steps, steps_max) = (self.num_inference_steps, self.num_train_timesteps);
+        let embedding = self.diffusion_step_embed_dim;
+        let ranges = [
             ("horizon", self.horizon, 1, 1024),
             ("n_obs_steps", self.n_obs_steps, 1, 64),
             ("n_action_steps", self.n_action_steps, 1, 1024),
             ("encoder_output_dim", self.encoder_output_dim, 1, 8192),
-            (
-                "diffusion_step_embed_dim",
-                self.diffusion_step_embed_dim,
-                4,
-                8192,
-            ),
+            ("diffusion_step_embed_dim", embedding, 4, 8192),
             ("kernel_size", self.kernel_size, 1, 63),
             ("n_groups", self.n_groups, 1, 1024),
-            ("num_train_timesteps", self.num_train_timesteps, 2, 10_000),
-            (
-                "num_inference_steps",
-                self.num_inference_steps,
-                1,
-                self.num_train_timesteps,
-            ),
+            ("num_train_timesteps", steps_max, 2, 10_000),
+            ("num_inference_steps", steps, 1, steps_max),
             ("state_dim", self.state_dim, 1, 1024),
             ("action_dim", self.action_dim, 1, 1024),
         ];
-        for (name, value, low, high) in sizes {
-            if !(low..=high).contains(&value) {
-                return Some(format!("{name} = {value} is outside [{low}, {high}]"));
-            }
-        }
+        let outside = |(_, value, low, high): &(&str, i64, i64, i64)| value < low || value > high;
+        let found = ranges.into_iter().find(outside);
+        found.map(|(name, value, low, high)| format!("{name} = {value} is outside [{low}, {high}]"))
+    }
+
+    /// What is wrong with blocks, channels, kernel or embedding, whose sizes are in their ranges.
+    fn width_defect(&self) -> Option<String> {
         if !(1..=8).contains(&self.blocks) || !(1..=8).contains(&self.down_dims.len()) {
             return Some(format!(
                 "{} blocks at {} lengths are outside [1, 8]",
@@ -136,6 +137,11 @@ impl Dp3Config {
                 self.kernel_size, self.diffusion_step_embed_dim
             ));
         }
+        None
+    }
+
+    /// What is wrong with the horizon, which every length of the U-Net halves.
+    fn horizon_defect(&self) -> Option<String> {
         let shrink = 1_i64 << (self.down_dims.len() - 1);
         if self.horizon % shrink != 0 {
             return Some(format!(

@@ -46,6 +46,7 @@ pub(super) fn panels(weight: &Tensor, order: &[i64]) -> Result<Vec<f32>, TchErro
 /// The part `index` of `count` parts of `all`, in whole lines; the last ones may be smaller or nothing.
 #[inline(always)]
 pub(super) fn share(all: &[f32], index: usize, count: usize) -> &[f32] {
+    debug_assert!(index < count, "part {index} of {count}");
     let size = all.len().div_ceil(count.max(1)).next_multiple_of(LINE);
     all.chunks(size.max(1)).nth(index).unwrap_or_default()
 }

@@ -9,6 +9,7 @@ mod stem;
 #[cfg(test)]
 #[cfg(target_arch = "x86_64")]
 mod tests;
+mod tile;
 mod transforms;
 mod winograd;
 

@@ -82,10 +82,8 @@ impl Axis {
 /// `tensor` at `places` along `dim`, linear between neighbours.
 pub(super) fn sample(tensor: &Tensor, dim: i64, places: &[f64]) -> Result<Tensor, TchError> {
     let last = tensor.size()[length(dim)] - 1;
-    let same = places
-        .iter()
-        .enumerate()
-        .all(|(k, place)| (place - real(k)).abs() <= 0.0);
+    let mut each = places.iter().enumerate();
+    let same = each.all(|(k, place)| (place - real(k)).abs() <= 0.0);
     if same && dimension(places.len()) == last + 1 {
         return Ok(tensor.shallow_clone());
     }

@@ -3,6 +3,7 @@
 //! Both see windows of a volume that has the spacing they were trained with, one after another ([`Segmenter::classify`]).
 
 mod axis;
+mod file;
 mod settings;
 mod slab;
 mod sliding;
@@ -14,11 +15,13 @@ use std::path::Path;
 
 use tch::{CModule, Device, Kind, TchError, Tensor};
 
+pub use file::{load_segmenter, save_segmenter};
 pub use settings::{SegmenterSettings, SettingsDefect, Weighting};
-pub use sliding::{BACKGROUND, Image};
+pub use slab::BACKGROUND;
+pub use sliding::Image;
 pub use unet::{UNet, UNetConfig};
 
-use crate::checkpoint::{Cause, CheckpointError, load_segmenter};
+use crate::checkpoint::{Cause, CheckpointError};
 use crate::dimension::dimension;
 
 /// Most voxels of a scan as the network sees it: 4 GB.

@@ -1,5 +1,7 @@
 //! What a segmenter wants to be shown, and what its classes are.
 
+use std::fmt::{self, Debug, Display, Formatter};
+
 use serde::{Deserialize, Serialize};
 
 /// Most classes: with the background they fit 8 bits.
@@ -55,8 +57,8 @@ pub struct SettingsDefect {
     pub allowed: &'static str,
 }
 
-impl std::fmt::Display for SettingsDefect {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl Display for SettingsDefect {
+    fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
         let Self {
             key,
             value,
@@ -70,56 +72,31 @@ impl SegmenterSettings {
     /// The first setting that is not allowed.
     #[must_use]
     pub fn defect(&self) -> Option<SettingsDefect> {
-        let within = |value: &f64, low: f64, high: f64| (low..=high).contains(value);
-        let rising = |[low, high]: [f64; 2], most: f64| {
-            low < high && within(&low, -most, most) && within(&high, -most, most)
-        };
-        let mut sorted = self.classes.clone();
-        sorted.sort_unstable();
-        let once = sorted.windows(2).all(|pair| pair[0] != pair[1]);
+        let Self {
+            patch,
+            spacing_mm,
+            orientation,
+            window_hu,
+            range,
+            overlap,
+            classes,
+            ..
+        } = self;
+        let shown = |value: &dyn Debug| format!("{value:?}");
+        let sides = patch.iter().all(|side| (8..=PATCH_MAX).contains(side));
+        let spacings = spacing_mm.iter().all(|s| (0.1..=20.0).contains(s));
+        let overlaps = (0.0..=0.9).contains(overlap);
+        let (oriented, labels) = (is_orientation(orientation), are_classes(classes));
+        let (windows, ranges) = (is_rising(*window_hu), is_rising(*range));
+        // Keys, values, what is allowed, and whether the value is.
         let checks = [
-            (
-                "patch",
-                format!("{:?}", self.patch),
-                "[8, 512] voxels",
-                self.patch.iter().all(|side| (8..=PATCH_MAX).contains(side)),
-            ),
-            (
-                "spacing_mm",
-                format!("{:?}", self.spacing_mm),
-                "[0.1, 20] mm",
-                self.spacing_mm.iter().all(|s| within(s, 0.1, 20.0)),
-            ),
-            (
-                "orientation",
-                self.orientation.clone(),
-                "three of R or L, A or P, S or I",
-                is_orientation(&self.orientation),
-            ),
-            (
-                "window_hu",
-                format!("{:?}", self.window_hu),
-                "two rising numbers in [-1e5, 1e5]",
-                rising(self.window_hu, 1e5),
-            ),
-            (
-                "range",
-                format!("{:?}", self.range),
-                "two rising numbers in [-1e5, 1e5]",
-                rising(self.range, 1e5),
-            ),
-            (
-                "overlap",
-                self.overlap.to_string(),
-                "[0, 0.9]",
-                within(&self.overlap, 0.0, 0.9),
-            ),
-            (
-                "classes",
-                format!("{:?}", self.classes),
-                "1 to 254 labels, each once",
-                (1..=CLASSES_MAX).contains(&self.classes.len()) && once,
-            ),
+            ("patch", shown(patch), "[8, 512] voxels", sides),
+            ("spacing_mm", shown(spacing_mm), "[0.1, 20] mm", spacings),
+            ("orientation", orientation.clone(), AXES, oriented),
+            ("window_hu", shown(window_hu), RISING, windows),
+            ("range", shown(range), RISING, ranges),
+            ("overlap", overlap.to_string(), "[0, 0.9]", overlaps),
+            ("classes", shown(classes), LABELS, labels),
         ];
         let wrong = checks.into_iter().find(|(.., good)| !good);
         wrong.map(|(key, value, allowed, _)| SettingsDefect {
@@ -128,6 +105,23 @@ impl SegmenterSettings {
             allowed,
         })
     }
+}
+
+/// What messages allow.
+const AXES: &str = "three of R or L, A or P, S or I";
+const RISING: &str = "two rising numbers in [-1e5, 1e5]";
+const LABELS: &str = "1 to 254 labels, each once";
+
+fn is_rising([low, high]: [f64; 2]) -> bool {
+    let allowed = -1e5..=1e5;
+    low < high && allowed.contains(&low) && allowed.contains(&high)
+}
+
+fn are_classes(labels: &[u16]) -> bool {
+    let mut sorted = labels.to_vec();
+    sorted.sort_unstable();
+    let once = sorted.windows(2).all(|pair| pair[0] != pair[1]);
+    (1..=CLASSES_MAX).contains(&labels.len()) && once
 }
 
 fn is_orientation(text: &str) -> bool {

@@ -6,8 +6,10 @@ use tch::{Device, Kind, TchError, Tensor};
 
 use super::SegmentError;
 use super::axis::{Axis, sample, whole};
-use super::sliding::BACKGROUND;
 use crate::dimension::{dimension, length};
+
+/// The class of a voxel that is none of the model's.
+pub const BACKGROUND: u8 = 255;
 
 /// Sums over a strip of rows and as many slices as a window has.
 pub(super) struct Slab {

@@ -10,13 +10,10 @@ use tch::{Kind, TchError, Tensor};
 
 use super::axis::{Axis, gaussian, sample, whole};
 use super::settings::Weighting;
-use super::slab::{Back, Slab};
+use super::slab::{BACKGROUND, Back, Slab};
 use super::{SegmentError, Segmenter, VOXELS_MAX};
 use crate::dimension::dimension;
 use hal::count::count_u32;
-
-/// The class of a voxel that is none of the model's.
-pub const BACKGROUND: u8 = 255;
 
 /// Copies of a slice of scores that are in memory at a time while it is brought back to the volume's lattice.
 const PLANES: usize = 6;
@@ -38,8 +35,8 @@ type TakeSlice<'a> = dyn FnMut(&Slab, usize) -> Result<(), SegmentError> + 'a;
 impl Segmenter {
     /// The class of each voxel of `image`, x fastest: an index into the settings' classes, or [`BACKGROUND`].
     ///
-    /// `memory_bytes` bounds the sums, not what the network itself needs for a window. `done` is told after each window how many of how
-    /// many there are.
+    /// `memory_bytes` bounds the sums, not what the network itself needs for a window. After each window `done` gets the number of
+    /// windows so far and of all.
     ///
     /// # Errors
     /// [`SegmentError`].

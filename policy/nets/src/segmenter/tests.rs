@@ -9,8 +9,8 @@ use tch::{Device, Kind, Tensor};
 use super::axis::Axis;
 use super::{
     BACKGROUND, Image, SegmentError, Segmenter, SegmenterSettings, UNet, UNetConfig, Weighting,
+    load_segmenter, save_segmenter,
 };
-use crate::checkpoint::{load_segmenter, save_segmenter};
 use crate::parameters::ParameterSource;
 
 /// Averaged scores may differ by so much from MONAI's.

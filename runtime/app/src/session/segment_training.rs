@@ -7,9 +7,10 @@ use serde::Serialize;
 use trocar_anatomy::groups::Groups;
 use trocar_anatomy::overlap::dice;
 use trocar_anatomy::phantom::{self, Patient, Size};
-use trocar_nets::checkpoint::save_segmenter;
 use trocar_nets::dimension::dimension;
-use trocar_nets::segmenter::{Image, Segmenter, SegmenterSettings, UNetConfig, Weighting};
+use trocar_nets::segmenter::{
+    Image, Segmenter, SegmenterSettings, UNetConfig, Weighting, save_segmenter,
+};
 use trocar_train::{LabelledScan, SegmenterTraining};
 
 use super::segment::{Classes, mean};

@@ -97,12 +97,10 @@ impl<const N: usize> Method<N> {
         }
     }
 
-    /// Takes over a problem. Variables past `variables` are there but nothing moves them.
-    pub(super) fn load(
+    /// Takes over `hessian`, with the identity past `variables`.
+    fn load_hessian(
         &mut self,
         hessian: &[[f64; VARIABLES_MAX]; VARIABLES_MAX],
-        rows: &[LinearRow],
-        cones: &[Cone],
         variables: usize,
     ) -> Result<(), Failure> {
         for (i, (to, from)) in self.hessian.iter_mut().zip(hessian).enumerate() {
@@ -118,6 +116,18 @@ impl<const N: usize> Method<N> {
                 }
             }
         }
+        Ok(())
+    }
+
+    /// Takes over a problem. Variables past `variables` are there but nothing moves them.
+    pub(super) fn load(
+        &mut self,
+        hessian: &[[f64; VARIABLES_MAX]; VARIABLES_MAX],
+        rows: &[LinearRow],
+        cones: &[Cone],
+        variables: usize,
+    ) -> Result<(), Failure> {
+        self.load_hessian(hessian, variables)?;
         self.rows.load(rows)?;
         self.cones.load(cones)?;
         self.factors.start(&self.hessian)?;

@@ -39,15 +39,20 @@ impl<const N: usize> Method<N> {
         Err(Failure::IterationLimit)
     }
 
-    /// Puts half-spaces at the point in the place of the cones, and the cones' curvature into the factors. False if a cone
-    /// curves the model more than its multiplier does.
-    fn set_model(&mut self) -> Result<bool, Failure> {
-        let pushing = self.forces();
-        let mut forces = pushing;
+    /// The `forces`, none less than what the last ones have faded to.
+    fn fade(&mut self, mut forces: [f64; CONES_MAX]) -> [f64; CONES_MAX] {
         for (force, held) in forces.iter_mut().zip(&mut self.held) {
             *held = force.max(FADING * *held);
             *force = *held;
         }
+        forces
+    }
+
+    /// Puts half-spaces at the point in the place of the cones, and the cones' curvature into the factors. False if a cone
+    /// curves the model more than its multiplier does.
+    fn set_model(&mut self) -> Result<bool, Failure> {
+        let pushing = self.forces();
+        let forces = self.fade(pushing);
         let exact = forces.iter().zip(&pushing).all(|(held, now)| held <= now);
         let mut hessian = self.hessian;
         for (cone, (force, cut)) in forces.iter().zip(&mut self.cuts).enumerate() {

@@ -20,6 +20,14 @@ impl<const N: usize> Lanes<N> {
         bound: [f64::INFINITY; LANES],
     };
 
+    /// Puts `row` into the lane `lane`, times `scale`.
+    fn set(&mut self, lane: usize, row: &LinearRow, scale: f64) {
+        for (to, from) in self.coefficients.iter_mut().zip(&row.coefficients) {
+            to[lane] = from * scale;
+        }
+        self.bound[lane] = row.bound * scale;
+    }
+
     fn violations(&self, x: &[f64; N]) -> [f64; LANES] {
         let mut violations = self.bound.map(|bound| -bound);
         for (x, coefficients) in x.iter().zip(&self.coefficients) {
@@ -80,11 +88,7 @@ impl<const N: usize> Rows<N> {
                     }
                     continue;
                 }
-                let scale = squared.sqrt().recip();
-                for (to, from) in lanes.coefficients.iter_mut().zip(&row.coefficients) {
-                    to[lane] = from * scale;
-                }
-                lanes.bound[lane] = row.bound * scale;
+                lanes.set(lane, row, squared.sqrt().recip());
             }
         }
         Ok(())

@@ -63,14 +63,11 @@ fn between_arms(source: &Source, file: &SafetyFile) -> Result<Option<BetweenArms
         return Err(source.out_of_range("arm", &count.to_string(), "one arm or two"));
     }
     let Some(table) = &file.between_arms else {
-        if count == 2 {
-            return Err(source.out_of_range(
-                "between_arms",
-                "missing",
-                "a table where there are two arms",
-            ));
-        }
-        return Ok(None);
+        let allowed = "a table where there are two arms";
+        return match count {
+            2 => Err(source.out_of_range("between_arms", "missing", allowed)),
+            _ => Ok(None),
+        };
     };
     for (key, gap_m) in [
         ("shaft_to_shaft_m", table.shaft_to_shaft_m),
@@ -229,93 +226,134 @@ fn regions(source: &Source, tables: &[RegionTable]) -> Result<Vec<Region>, Confi
     let mut regions = Vec::with_capacity(tables.len());
     for (index, table) in tables.iter().enumerate() {
         let region = region(source, index, table)?;
-        let found = format!("{:?}", region.name);
-        let key = format!("forbidden.{index}.name");
-        if region.name.trim().is_empty() {
-            return Err(source.out_of_range(&key, &found, "a name"));
-        }
-        if regions
-            .iter()
-            .any(|other: &Region| other.name == region.name)
-        {
-            return Err(source.out_of_range(&key, &found, "a name of its own"));
-        }
+        check_name(source, index, &region, &regions)?;
         regions.push(region);
     }
     Ok(regions)
 }
 
-fn region(source: &Source, index: usize, table: &RegionTable) -> Result<Region, ConfigError> {
-    let key = |name: &str| format!("forbidden.{index}.{name}");
-    let place = |name: &str, values: [f64; 3]| -> Result<Vector3<f64>, ConfigError> {
+/// The region `index` must have a name that none of those `before` has.
+fn check_name(
+    source: &Source,
+    index: usize,
+    region: &Region,
+    before: &[Region],
+) -> Result<(), ConfigError> {
+    let allowed = if region.name.trim().is_empty() {
+        "a name"
+    } else if before.iter().any(|other| other.name == region.name) {
+        "a name of its own"
+    } else {
+        return Ok(());
+    };
+    let key = format!("forbidden.{index}.name");
+    Err(source.out_of_range(&key, &format!("{:?}", region.name), allowed))
+}
+
+/// A region of the file, whose entries messages name.
+struct Entry<'a> {
+    source: &'a Source,
+    index: usize,
+}
+
+impl Entry<'_> {
+    fn check(&self, name: &str, value: f64, low: f64, high: f64) -> Result<(), ConfigError> {
+        let key = format!("forbidden.{}.{name}", self.index);
+        self.source.check_range(&key, value, low, high)
+    }
+
+    /// A length, m.
+    fn length(&self, name: &str, value: f64) -> Result<f64, ConfigError> {
+        self.check(name, value, 0.001, 1.0)?;
+        Ok(value)
+    }
+
+    /// A place in the scene, m.
+    fn place(&self, name: &str, values: [f64; 3]) -> Result<Vector3<f64>, ConfigError> {
         for value in values {
-            source.check_range(&key(name), value, -SCENE_M, SCENE_M)?;
+            self.check(name, value, -SCENE_M, SCENE_M)?;
         }
         Ok(Vector3::from(values))
-    };
-    let length = |name: &str, value: f64| source.check_range(&key(name), value, 0.001, 1.0);
+    }
+
+    fn sphere(&self, center_m: [f64; 3], radius_m: f64) -> Result<Shape, ConfigError> {
+        let radius_m = self.length("radius_m", radius_m)?;
+        let center_m = self.place("center_m", center_m)?;
+        Ok(Shape::Sphere { center_m, radius_m })
+    }
+
+    fn capsule(
+        &self,
+        from_m: [f64; 3],
+        to_m: [f64; 3],
+        radius_m: f64,
+    ) -> Result<Shape, ConfigError> {
+        let radius_m = self.length("radius_m", radius_m)?;
+        Ok(Shape::Capsule {
+            from_m: self.place("from_m", from_m)?,
+            to_m: self.place("to_m", to_m)?,
+            radius_m,
+        })
+    }
+
+    fn half_space(&self, point_m: [f64; 3], normal: [f64; 3]) -> Result<Shape, ConfigError> {
+        let point_m = self.place("point_m", point_m)?;
+        let normal = self.place("normal", normal)?;
+        // Written by hand, so a thousandth off is meant to be a unit vector.
+        self.check("normal", normal.norm(), 0.999, 1.001)?;
+        let normal = normal.normalize();
+        Ok(Shape::HalfSpace { point_m, normal })
+    }
+
+    fn block(
+        &self,
+        center_m: [f64; 3],
+        size_m: [f64; 3],
+        rpy_rad: [f64; 3],
+    ) -> Result<Shape, ConfigError> {
+        for size in size_m {
+            self.length("size_m", size)?;
+        }
+        for angle in rpy_rad {
+            self.check("rpy_rad", angle, -3.15, 3.15)?;
+        }
+        let [roll, pitch, yaw] = rpy_rad;
+        Ok(Shape::Box(Block {
+            center_m: self.place("center_m", center_m)?,
+            half_m: Vector3::from(size_m) / 2.0,
+            axes: Rotation3::from_euler_angles(roll, pitch, yaw),
+        }))
+    }
+}
+
+fn region(source: &Source, index: usize, table: &RegionTable) -> Result<Region, ConfigError> {
+    let entry = Entry { source, index };
     let (name, shape) = match table {
         RegionTable::Sphere {
             name,
             center_m,
             radius_m,
-        } => {
-            length("radius_m", *radius_m)?;
-            let center_m = place("center_m", *center_m)?;
-            let radius_m = *radius_m;
-            (name, Shape::Sphere { center_m, radius_m })
-        }
+        } => (name, entry.sphere(*center_m, *radius_m)?),
         RegionTable::Capsule {
             name,
             from_m,
             to_m,
             radius_m,
-        } => {
-            length("radius_m", *radius_m)?;
-            let shape = Shape::Capsule {
-                from_m: place("from_m", *from_m)?,
-                to_m: place("to_m", *to_m)?,
-                radius_m: *radius_m,
-            };
-            (name, shape)
-        }
+        } => (name, entry.capsule(*from_m, *to_m, *radius_m)?),
         RegionTable::HalfSpace {
             name,
             point_m,
             normal,
-        } => {
-            let point_m = place("point_m", *point_m)?;
-            let normal = place("normal", *normal)?;
-            // Written by hand, so a thousandth off is meant to be a unit vector.
-            source.check_range(&key("normal"), normal.norm(), 0.999, 1.001)?;
-            let normal = normal.normalize();
-            (name, Shape::HalfSpace { point_m, normal })
-        }
+        } => (name, entry.half_space(*point_m, *normal)?),
         RegionTable::Box {
             name,
             center_m,
             size_m,
             rpy_rad,
-        } => {
-            for size in *size_m {
-                length("size_m", size)?;
-            }
-            for angle in *rpy_rad {
-                source.check_range(&key("rpy_rad"), angle, -3.15, 3.15)?;
-            }
-            let [roll, pitch, yaw] = *rpy_rad;
-            let block = Block {
-                center_m: place("center_m", *center_m)?,
-                half_m: Vector3::from(*size_m) / 2.0,
-                axes: Rotation3::from_euler_angles(roll, pitch, yaw),
-            };
-            (name, Shape::Box(block))
-        }
+        } => (name, entry.block(*center_m, *size_m, *rpy_rad)?),
     };
-    Ok(Region {
-        name: name.clone(),
-        shape,
-    })
+    let name = name.clone();
+    Ok(Region { name, shape })
 }
 
 #[cfg(test)]

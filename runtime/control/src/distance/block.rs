@@ -15,26 +15,27 @@ pub(super) fn nearest(
         Some((enter, leave)) => deepest(start_m, along, half_m, enter, leave),
         None => nearest_outside(start_m, along, half_m),
     };
-    let point_m = start_m + along * fraction;
+    let (distance_m, normal) = to_surface(&(start_m + along * fraction), half_m);
+    Nearest {
+        fraction,
+        distance_m,
+        normal,
+    }
+}
+
+/// How far a point is from the surface of the box, m, negative inside, and the surface's normal there.
+fn to_surface(point_m: &Vector3<f64>, half_m: &Vector3<f64>) -> (f64, Vector3<f64>) {
     let beyond = point_m.abs() - half_m;
     let excess = beyond.sup(&Vector3::zeros());
     let outside_m = excess.norm();
     if outside_m > TOUCHING_M {
         let out = Vector3::from_fn(|axis, _| excess[axis].copysign(point_m[axis]));
-        return Nearest {
-            fraction,
-            distance_m: outside_m,
-            normal: out / outside_m,
-        };
+        return (outside_m, out / outside_m);
     }
     let face = beyond.imax();
     let mut normal = Vector3::zeros();
     normal[face] = 1.0_f64.copysign(point_m[face]);
-    Nearest {
-        fraction,
-        distance_m: beyond[face],
-        normal,
-    }
+    (beyond[face], normal)
 }
 
 /// From which fraction to which the segment is in the box.

@@ -11,7 +11,9 @@ use super::floor::Floor;
 use super::measured::{NearestOfArm, allowances};
 #[cfg(test)]
 use super::planted::{Check, Padding, PlantedGuardFault};
-use super::sweep::{INTERVALS, Rest, Sample, Sweep, travel_m};
+use super::sample::Sample;
+use super::sweep::{INTERVALS, Rest, Sweep, travel_m};
+use super::way::Way;
 use crate::config::{ArmConfig, ControlConfig};
 use crate::deviation::Deviation;
 use crate::instrument::{Instrument, LINKS};
@@ -277,18 +279,13 @@ impl ArmGuard {
         wanted: &Wanted,
         closing: &Clearances,
     ) -> bool {
-        let instruments = (&before.instrument, &after.instrument);
+        let ways = bounds.ways();
         for (index, _) in wanted.iter().enumerate().filter(|(_, wanted)| **wanted) {
-            let h = (before.clearances[index], after.clearances[index]);
-            let enough_m = self
-                .floor
-                .enough_m()
-                .max(closing[index] + self.floor.recovery_m());
-            let low = self
-                .boundaries
-                .lowest_between(index, h, instruments, bounds, enough_m);
+            let low = self.lowest_between(index, (before, after), &ways, closing[index]);
             #[cfg(test)]
-            let low = self.pad(Padding::Clearance, h.0.min(h.1), low);
+            let plain = before.clearances[index].min(after.clearances[index]);
+            #[cfg(test)]
+            let low = self.pad(Padding::Clearance, plain, low);
             let keeps = low >= closing[index];
             #[cfg(test)]
             let keeps = self.judge(Check::Clearance(index), keeps);
@@ -298,6 +295,23 @@ impl ArmGuard {
             self.least[index] = self.least[index].min(low);
         }
         self.tip_keeps(before, after, bounds)
+    }
+
+    /// What clearance `index` does not fall below between two samples, m, as exactly as it takes to tell whether that is at least
+    /// `closing_m` and needs no recovery.
+    fn lowest_between(
+        &self,
+        index: usize,
+        (before, after): (&Sample, &Sample),
+        ways: &[Way; LINKS],
+        closing_m: f64,
+    ) -> f64 {
+        let h = (before.clearances[index], after.clearances[index]);
+        let instruments = (&before.instrument, &after.instrument);
+        let floor = &self.floor;
+        let enough_m = floor.enough_m().max(closing_m + floor.recovery_m());
+        let boundaries = &self.boundaries;
+        boundaries.lowest_between(index, h, instruments, ways, enough_m)
     }
 
     /// Whether the tip is slow enough between two samples.

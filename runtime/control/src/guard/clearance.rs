@@ -2,7 +2,7 @@
 
 use hal::psm::SHAFT_RADIUS_M;
 
-use super::bounds::{Bounds, Way, lowest};
+use super::way::{Way, lowest};
 use crate::config::{ArmConfig, FORBIDDEN_MAX};
 use crate::instrument::{Instrument, LINKS};
 use crate::region::{Block, Shape};
@@ -64,21 +64,21 @@ impl Boundaries {
 
     /// What clearance `index` does not fall below between two samples, m.
     ///
-    /// `h` is the clearance at both ends, `instruments` is where the links are then.
+    /// `h` is the clearance at both ends, `instruments` is where the links are then, `ways` how each link can move between them.
     pub(super) fn lowest_between(
         &self,
         index: usize,
         h: (f64, f64),
         instruments: (&Instrument, &Instrument),
-        bounds: &Bounds,
+        ways: &[Way; LINKS],
         enough_m: f64,
     ) -> f64 {
         let Some(at) = index.checked_sub(FACES) else {
             // The control point ends the wrist, the other two points the fingers.
-            let way = bounds.way(if index < 6 { 1 } else { 2 });
+            let way = &ways[if index < 6 { 1 } else { 2 }];
             return way.lowest_linear(h.0, h.1);
         };
-        let way = bounds.way(at % LINKS);
+        let way = &ways[at % LINKS];
         let Some(shape) = self.shapes.get(at / LINKS).and_then(Option::as_ref) else {
             return FAR_M;
         };
@@ -90,7 +90,7 @@ impl Boundaries {
             Shape::Box(block) => {
                 let low = way.lowest_round(h.0, h.1, SHAFT_RADIUS_M);
                 if low < enough_m {
-                    low.max(lowest_beyond_faces(block, at % LINKS, instruments, &way))
+                    low.max(lowest_beyond_faces(block, at % LINKS, instruments, way))
                 } else {
                     low
                 }

@@ -4,7 +4,7 @@ use hal::ArmState;
 use serde::Serialize;
 
 use super::clearance::{Boundaries, CLEARANCES, Clearances, FACES};
-use super::pair::{Gaps, KINDS};
+use super::gaps::{Gaps, KINDS};
 use crate::config::{ControlConfig, FORBIDDEN_MAX};
 use crate::instrument::{LINKS, Link, Stance};
 use crate::motion::MotionState;

@@ -8,22 +8,16 @@
 use hal::psm::SHAFT_RADIUS_M;
 use nalgebra::Vector3;
 
-use super::bounds::Way;
 use super::floor::Floor;
+use super::gaps::{Gaps, KINDS};
 use super::measured::Nearest;
 #[cfg(test)]
 use super::planted::{Check, Padding, PlantedGuardFault};
 use super::sweep::Rest;
+use super::way::Way;
 use crate::config::{BetweenArms, Margins};
 use crate::distance::distance_between_m;
 use crate::instrument::Instrument;
-
-/// Links of the first and of the second arm that keep apart. Wrists and fingers of both may meet.
-pub(super) const KINDS: [(usize, usize); 7] =
-    [(0, 0), (1, 0), (2, 0), (3, 0), (0, 1), (0, 2), (0, 3)];
-
-/// One distance for each of [`KINDS`], m: what is left of the gap that they must keep.
-pub(super) type Gaps = [f64; KINDS.len()];
 
 /// What two arms keep between them.
 #[derive(Clone, Debug)]

@@ -1,7 +1,7 @@
 //! Faults that a test plants into the guard, one at a time, to see that some test notices.
 
 use super::clearance::CLEARANCES;
-use super::pair::KINDS;
+use super::gaps::KINDS;
 use crate::motion::AXES;
 
 /// A single comparison of the guard.

@@ -3,47 +3,16 @@
 use hal::Pose;
 use hal::psm::{FINGER_M, WRIST_M};
 
-use super::bounds::{Bounds, Way};
-use super::clearance::{Boundaries, Clearances, Wanted};
-use crate::instrument::{Instrument, LINKS, Stance};
-use crate::motion::{AXES, Axes, JAW, MotionState};
+use super::bounds::Bounds;
+use super::way::Way;
+use crate::instrument::{Instrument, LINKS};
+use crate::motion::AXES;
 
 /// Intervals into which a stop is cut.
 pub(super) const INTERVALS: u32 = 20;
 
 /// Their ends.
 pub(super) const SAMPLES: usize = INTERVALS as usize + 1;
-
-/// One moment of a stop.
-#[derive(Clone, Copy)]
-pub(super) struct Sample {
-    pub(super) clearances: Clearances,
-    pub(super) instrument: Instrument,
-    pub(super) velocity: Axes,
-    pub(super) acceleration: Axes,
-    pub(super) jaw: f64,
-    pub(super) tip_speed_m_s: f64,
-    pub(super) tip_turn_rad_s: f64,
-    pub(super) wrist_distance_m: f64,
-}
-
-impl Sample {
-    /// The arm in `state` among `boundaries`.
-    pub(super) fn new(state: &MotionState, boundaries: &Boundaries, wanted: &Wanted) -> Self {
-        let stance = Stance::new(state);
-        let twist = stance.frames.tip_jacobian() * state.joint_velocity();
-        Self {
-            clearances: boundaries.clearances(&stance.instrument, wanted),
-            instrument: stance.instrument,
-            velocity: state.velocity,
-            acceleration: state.acceleration,
-            jaw: state.position[JAW],
-            tip_speed_m_s: twist.fixed_rows::<3>(0).norm(),
-            tip_turn_rad_s: twist.fixed_rows::<3>(3).norm(),
-            wrist_distance_m: stance.instrument.wrist_m.norm(),
-        }
-    }
-}
 
 /// How far the points of each link can get from where they are in one moment of a stop to where they are in any other, m.
 ///

@@ -9,7 +9,7 @@ mod two_arms;
 
 use super::clearance::{Boundaries, CLEARANCES, Clearances};
 use super::planted::PlantedGuardFault;
-use super::sweep::Sample;
+use super::sample::Sample;
 use super::{Decision, Guard, Request};
 use crate::config::{BetweenArms, ControlConfig};
 use crate::motion::{AXES, Axes, JAW, MotionState};

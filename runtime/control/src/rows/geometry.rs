@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use super::{RowInput, Rows, approach_bound};
 use crate::config::ControlConfig;
 use crate::distance::Nearest;
-use crate::instrument::Link;
+use crate::instrument::{Link, PointJacobian};
 use crate::region::{Block, Shape};
 
 /// Six rows for each of control point and finger tips.
@@ -26,15 +26,26 @@ pub(super) fn workspace(
         (Link::RightFinger, right_m, right_off_m),
     ] {
         let jacobian = stance.point_jacobian(link, &point_m, 1.0);
-        let place_m = workspace.axes.inverse() * (point_m - workspace.center_m);
-        for axis in 0..3 {
-            let side = workspace.axes.matrix().column(axis);
-            let outward = side.transpose() * jacobian;
-            let (half_m, at_m) = (workspace.half_m[axis], place_m[axis]);
-            let bound = |distance_m: f64| approach_bound(distance_m, off_m, config);
-            rows.push(first, &-outward, bound(half_m + at_m));
-            rows.push(first, &outward, bound(half_m - at_m));
-        }
+        let bound = |distance_m: f64| approach_bound(distance_m, off_m, config);
+        faces(rows, first, workspace, (&point_m, &jacobian), bound);
+    }
+}
+
+/// A row for each face of `workspace` and one point with its Jacobian; `bound` is how fast it may approach a face at a distance, m.
+fn faces(
+    rows: &mut Rows,
+    first: usize,
+    workspace: &Block,
+    (point_m, jacobian): (&Vector3<f64>, &PointJacobian),
+    bound: impl Fn(f64) -> f64,
+) {
+    let place_m = workspace.axes.inverse() * (point_m - workspace.center_m);
+    for axis in 0..3 {
+        let side = workspace.axes.matrix().column(axis);
+        let outward = side.transpose() * jacobian;
+        let (half_m, at_m) = (workspace.half_m[axis], place_m[axis]);
+        rows.push(first, &-outward, bound(half_m + at_m));
+        rows.push(first, &outward, bound(half_m - at_m));
     }
 }
 

@@ -10,17 +10,22 @@ use crate::region::Shape;
 /// Parts of an instrument that stay in the workspace, in the order of their rows.
 const IN_WORKSPACE: [Link; 3] = [Link::Wrist, Link::LeftFinger, Link::RightFinger];
 
+/// The upper and lower bound of each axis.
+fn ranges(names: &mut Vec<String>, arm: &ArmConfig) {
+    for axis in JOINT_NAMES.into_iter().chain(["jaw"]) {
+        for side in ["upper", "lower"] {
+            names.push(format!("{} {axis}, {side} bound", arm.name));
+        }
+    }
+}
+
 /// A name for each row of [`Problem`](crate::filter::Problem) in its order, the cones after the linear rows, such as `psm1 insertion,
 /// upper bound`.
 #[must_use]
 pub fn names(config: &ControlConfig) -> Vec<String> {
     let mut names = Vec::new();
     for arm in &config.arms {
-        for axis in JOINT_NAMES.into_iter().chain(["jaw"]) {
-            for side in ["upper", "lower"] {
-                names.push(format!("{} {axis}, {side} bound", arm.name));
-            }
-        }
+        ranges(&mut names, arm);
     }
     for arm in &config.arms {
         boundaries(&mut names, arm);

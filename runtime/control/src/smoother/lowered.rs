@@ -97,17 +97,9 @@ impl AxisLowering {
         if self.limits.acceleration >= built.acceleration && self.limits.jerk >= built.jerk {
             return;
         }
-        let stop_from = |state: &MotionState| {
-            let (p, v, a) = (
-                state.position[axis],
-                state.velocity[axis],
-                state.acceleration[axis],
-            );
-            AxisStop::new(p, v, a, built)
-        };
-        let stop = stop_from(state);
+        let stop = stop_of(axis, state, built);
         let (now_low, now_high) = stop.position_range();
-        let (low, high) = stop_from(next).position_range();
+        let (low, high) = stop_of(axis, next, built).position_range();
         let lowest = now_low.min(built.low);
         let highest = now_high.max(built.high);
         if low < lowest || high > highest {
@@ -118,6 +110,16 @@ impl AxisLowering {
             ) = stop.at(tick_s);
         }
     }
+}
+
+/// The stop at full limits of one axis of `state`.
+fn stop_of(axis: usize, state: &MotionState, built: &AxisLimits) -> AxisStop {
+    let (p, v, a) = (
+        state.position[axis],
+        state.velocity[axis],
+        state.acceleration[axis],
+    );
+    AxisStop::new(p, v, a, built)
 }
 
 #[cfg(test)]

@@ -35,11 +35,6 @@ impl RecordedArm {
     /// # Errors
     /// [`ReplayError::Empty`] if the log holds no tick, [`ReplayError::NoArm`] if it has not so many arms.
     pub fn new(log: &RunLog, index: usize) -> Result<Self, ReplayError> {
-        let dropped_before = |place: usize| {
-            let drops =
-                |loss: &Loss| matches!(loss, Loss::Ticks { position, .. } if *position == place);
-            log.losses.iter().any(drops)
-        };
         let mut ticks = Vec::with_capacity(log.tick_count());
         for (place, (tick, _)) in log.ticks().enumerate() {
             let arm = tick.arms.get(index).ok_or(ReplayError::NoArm { index })?;
@@ -47,7 +42,7 @@ impl RecordedArm {
                 now: tick.now,
                 measured: arm.measured,
                 command: arm.command,
-                gap: dropped_before(place + 1),
+                gap: lacks_ticks_before(log, place + 1),
             });
         }
         let last = ticks.last().ok_or(ReplayError::Empty)?.now;
@@ -93,6 +88,12 @@ impl RecordedArm {
         }
         tick.measured
     }
+}
+
+/// Whether ticks of `log` before the one at `place` were dropped.
+fn lacks_ticks_before(log: &RunLog, place: usize) -> bool {
+    let drops = |loss: &Loss| matches!(loss, Loss::Ticks { position, .. } if *position == place);
+    log.losses.iter().any(drops)
 }
 
 impl Arm for RecordedArm {

@@ -12,7 +12,7 @@ use hal::{ArmCommand, PerArm};
 use serde::Serialize;
 
 use crate::safety;
-use crate::{LogEnd, LogError, RunHeader, RunLog, Step, read_steps};
+use crate::{LogEnd, LogError, LoggedTick, RunHeader, RunLog, Step, read_steps};
 use trocar_control::second_opinion;
 use trocar_control::{
     AnyController, CommandHash, ControlConfig, InputHash, QpOutcome, TickInput, TickOutput,
@@ -255,17 +255,33 @@ impl Recomputed {
         })
     }
 
-    /// Recomputes one tick of all arms and compares.
-    fn tick(&mut self, step: &Step<'_>) -> Option<Difference> {
-        let (logged, chunks) = (step.tick, &step.chunks);
-        for (index, chunk) in chunks.iter().enumerate() {
+    /// Adds what the controller was given in one tick to the hash of the inputs.
+    fn hash_inputs(&mut self, step: &Step<'_>) {
+        for (index, chunk) in step.chunks.iter().enumerate() {
             if let Some(chunk) = chunk {
                 self.inputs.chunk(index, chunk);
             }
         }
-        for arm in logged.arms.iter() {
-            self.inputs.tick(logged.now, &arm.measured, arm.operator);
+        for arm in step.tick.arms.iter() {
+            let now = step.tick.now;
+            self.inputs.tick(now, &arm.measured, arm.operator);
         }
+    }
+
+    /// The log's tick has another number of arms than the controller.
+    fn other_arms(&self, logged: &LoggedTick) -> Difference {
+        Difference {
+            tick: logged.tick,
+            what: "arms".to_owned(),
+            logged: logged.arms.count().to_string(),
+            computed: self.controller.arm_count().to_string(),
+        }
+    }
+
+    /// Recomputes one tick of all arms and compares.
+    fn tick(&mut self, step: &Step<'_>) -> Option<Difference> {
+        let (logged, chunks) = (step.tick, &step.chunks);
+        self.hash_inputs(step);
         let given = logged.arms.as_ref().zip(*chunks);
         let outputs = self.controller.tick(&given.map(|(arm, chunk)| TickInput {
             now: logged.now,
@@ -274,12 +290,7 @@ impl Recomputed {
             operator: arm.operator,
         }));
         let Some(outputs) = outputs else {
-            return Some(Difference {
-                tick: logged.tick,
-                what: "arms".to_owned(),
-                logged: logged.arms.count().to_string(),
-                computed: self.controller.arm_count().to_string(),
-            });
+            return Some(self.other_arms(logged));
         };
         let solved = |output: &TickOutput| matches!(output.report.qp, QpOutcome::Solved { .. });
         if outputs.iter().any(solved) {
@@ -332,6 +343,7 @@ fn lost(step: &Step<'_>) -> Option<Difference> {
     Some(dropped(step.tick.tick, what))
 }
 
+/// Something that the logger dropped, so that the replay ends here.
 fn dropped(tick: u64, what: String) -> Difference {
     Difference {
         tick,
@@ -387,6 +399,7 @@ fn other_hash(end: &LogEnd, tick: u64, hash: CommandHash) -> Option<Difference> 
     })
 }
 
+/// The first number of two commands that differs in any bit.
 fn difference(tick: u64, logged: &ArmCommand, computed: &ArmCommand) -> Option<Difference> {
     let found = |what: String, logged: String, computed: String| {
         Some(Difference {
@@ -397,18 +410,12 @@ fn difference(tick: u64, logged: &ArmCommand, computed: &ArmCommand) -> Option<D
         })
     };
     if logged.stamp != computed.stamp {
-        return found(
-            "stamp".to_owned(),
-            logged.stamp.0.to_string(),
-            computed.stamp.0.to_string(),
-        );
+        let [logged, computed] = [logged, computed].map(|command| command.stamp.0.to_string());
+        return found("stamp".to_owned(), logged, computed);
     }
     if logged.enabled != computed.enabled {
-        return found(
-            "enabled".to_owned(),
-            logged.enabled.to_string(),
-            computed.enabled.to_string(),
-        );
+        let [logged, computed] = [logged, computed].map(|command| command.enabled.to_string());
+        return found("enabled".to_owned(), logged, computed);
     }
     let (what, logged, computed) =
         numbers(logged)

@@ -4,8 +4,9 @@ use hal::{ArmState, JointVector, Pose, TimeNs};
 use prost::Message as _;
 
 use super::samples;
+use crate::frames::of_arms;
 use crate::json::TimingMessage;
-use crate::live::{SCENE, of_arms, of_run, tick, transforms};
+use crate::live::{SCENE, of_run, tick, transforms};
 use crate::messages::FrameTransforms;
 use crate::record::TickRecord;
 

@@ -114,6 +114,24 @@ struct Watched {
     foreseen: Option<Pose>,
 }
 
+impl Watched {
+    /// Notes what the arm does at `now_s`; whether it did something else before.
+    fn is_now(&mut self, activity: Activity, now_s: f64) -> bool {
+        let changed = self.activity != activity;
+        if changed {
+            self.activity = activity;
+            self.since_s = now_s;
+        }
+        changed
+    }
+}
+
+/// Whether a target is elsewhere than the chunk before foresaw it.
+fn is_replanned(foreseen: &Pose, wanted: &Pose) -> bool {
+    let gap = foreseen.translation.vector - wanted.translation.vector;
+    gap.norm() > REPLANNED_M
+}
+
 impl Disturber {
     /// A disturber of the demonstration `seed` of `task`; none in `1 - share` of them.
     #[must_use]
@@ -166,16 +184,9 @@ impl Disturber {
         let replanned = watched
             .foreseen
             .zip(wanted)
-            .is_some_and(|(foreseen, wanted)| {
-                let gap = foreseen.translation.vector - wanted.translation.vector;
-                gap.norm() > REPLANNED_M
-            });
+            .is_some_and(|(foreseen, wanted)| is_replanned(&foreseen, &wanted));
         watched.foreseen = next;
-        let changed = watched.activity != activity;
-        if changed {
-            watched.activity = activity;
-            watched.since_s = now_s;
-        }
+        let changed = watched.is_now(activity, now_s);
         let Some(active) = &mut self.active[arm] else {
             return;
         };

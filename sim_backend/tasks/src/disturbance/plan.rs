@@ -48,6 +48,13 @@ pub(super) fn draw(task: &TaskConfig, rng: &mut Rng) -> Vec<Planned> {
         };
         planned.push(offset(rng.below(arms), activity, rng));
     }
+    add_setbacks(task, rng, &mut planned);
+    planned
+}
+
+/// One setback in some demonstrations, another one in some of those.
+fn add_setbacks(task: &TaskConfig, rng: &mut Rng, planned: &mut Vec<Planned>) {
+    let arms = task.arms.len();
     let mut setbacks = vec![Setback::Miss, Setback::Slip];
     if task.scene.flap().is_none() {
         setbacks.push(Setback::Nudge);
@@ -64,7 +71,6 @@ pub(super) fn draw(task: &TaskConfig, rng: &mut Rng) -> Vec<Planned> {
             Setback::Nudge => nudge([Activity::Reach, Activity::Grasp][rng.below(2)], rng),
         });
     }
-    planned
 }
 
 /// Around the thing the tip goes back more than sideways, so that it presses on nothing; elsewhere it does not go down.

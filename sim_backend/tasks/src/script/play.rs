@@ -87,7 +87,7 @@ pub(crate) enum Event {
     Taken,
     /// The other hand has let go and is gone.
     Given,
-    /// Nobody holds the needle, and the other hand waits.
+    /// No hand holds the needle, and the other hand waits.
     Free,
 }
 

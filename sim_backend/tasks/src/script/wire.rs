@@ -16,6 +16,20 @@ const TIP_CLEARANCE_M: f64 = 0.000_1;
 /// Thickness of a finger around the wire, m.
 const FINGER_REACH_M: f64 = 0.0015;
 
+/// The highest point of the ground under closed fingers at `grasp` that open along `opening`, m; open, their tips are higher than
+/// closed.
+fn highest_under_fingers(
+    grasp: &Point3<f64>,
+    opening: &Vector3<f64>,
+    ground_m: impl Fn(f64, f64) -> f64,
+) -> f64 {
+    [-FINGER_REACH_M, 0.0, FINGER_REACH_M]
+        .into_iter()
+        .map(|reach_m| grasp + opening * reach_m)
+        .map(|point| ground_m(point.x, point.y))
+        .fold(f64::NEG_INFINITY, f64::max)
+}
+
 /// The pose of the control point in which closing the jaw grips the wire `along_m` from the middle of its arc.
 ///
 /// The tool points straight down and opens across the wire; the finger tips stay clear of the ground, whose height over
@@ -35,13 +49,7 @@ pub(crate) fn wire_grasp(
     let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * straight_down();
     let middle = needle_in_scene * Point3::new(needle.arc_radius_m, 0.0, 0.0);
     let grasp = middle + tangent * along_m;
-    // The highest point under the closed fingers; open, their tips are higher than closed.
-    let opening = rotation * Vector3::y();
-    let floor_m = [-FINGER_REACH_M, 0.0, FINGER_REACH_M]
-        .into_iter()
-        .map(|reach_m| grasp + opening * reach_m)
-        .map(|point| ground_m(point.x, point.y))
-        .fold(f64::NEG_INFINITY, f64::max);
+    let floor_m = highest_under_fingers(&grasp, &(rotation * Vector3::y()), ground_m);
     let tip_z = floor_m.max(grasp.z - needle.wire_radius_m) + TIP_CLEARANCE_M;
     Pose::from_parts(
         Translation3::new(grasp.x, grasp.y, tip_z + FINGER_M),

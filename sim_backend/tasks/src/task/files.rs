@@ -109,7 +109,7 @@ struct Heading {
     task: TitleFile,
 }
 
-/// What the scene file `source` says of itself.
+/// The title, kind and description in the scene file `source`.
 pub(super) fn title(source: &Source) -> Result<TitleFile, ConfigError> {
     source.parse().map(|heading: Heading| heading.task)
 }
@@ -183,17 +183,23 @@ impl TaskFiles {
             scene: source(SCENE_FILE)?,
             safety: source(SAFETY_FILE)?,
         };
-        if let Some(built_in) = Self::built_in(name) {
-            for (file, own, shipped) in [
-                (SCENE_FILE, &files.scene, &built_in.scene),
-                (SAFETY_FILE, &files.safety, &built_in.safety),
-            ] {
-                if own.text() != shipped.text() {
-                    return Err(TaskError::NameTaken { path, file });
-                }
-            }
+        match files.differs_from_built_in() {
+            Some(file) => Err(TaskError::NameTaken { path, file }),
+            None => Ok(files),
         }
-        Ok(files)
+    }
+
+    /// The file that is another one than that of the built-in task of the same name, if there is such a task.
+    fn differs_from_built_in(&self) -> Option<&'static str> {
+        let built_in = Self::built_in(&self.name)?;
+        let pairs = [
+            (SCENE_FILE, &self.scene, &built_in.scene),
+            (SAFETY_FILE, &self.safety, &built_in.safety),
+        ];
+        let mut differing = pairs
+            .into_iter()
+            .filter(|(_, own, shipped)| own.text() != shipped.text());
+        differing.next().map(|(file, ..)| file)
     }
 
     /// The task, checked.

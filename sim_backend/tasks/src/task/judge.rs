@@ -3,8 +3,8 @@
 use core::fmt;
 use std::collections::VecDeque;
 
-use hal::Pose;
 use hal::config::{ConfigError, Source};
+use hal::{Pose, TICK_S};
 use nalgebra::Point3;
 use serde::Deserialize;
 use trocar_world::organ::Organ;
@@ -154,7 +154,7 @@ pub(crate) struct Sight {
     pub(crate) sunk_m: f64,
     /// Sum of the forces that press on the ground, of instruments and of what they press down, N.
     pub(crate) ground_force_n: f64,
-    /// What the flap says of itself, if there is one.
+    /// The report of the flap, if there is one.
     pub(crate) tissue: Option<TissueReport>,
     /// Kinetic and potential energy of the thing, J, while no part of an instrument touches it.
     pub(crate) free_energy_j: Option<f64>,
@@ -238,9 +238,6 @@ impl Judge {
     }
 }
 
-/// Length of one observation, s.
-const STEP_S: f64 = 1e-3;
-
 /// Time over which speed and overlaps are judged, steps: one step alone may be a solver's hiccup.
 const JUDGED_STEPS: usize = 20;
 
@@ -250,7 +247,7 @@ const JUDGED_STEPS: usize = 20;
     reason = "episodes are far shorter than 2^53 steps"
 )]
 pub(super) fn seconds(steps: u64) -> f64 {
-    steps as f64 * STEP_S
+    steps as f64 * TICK_S
 }
 
 /// Counts how long something has been so; true once it has lasted.

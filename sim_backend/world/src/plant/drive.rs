@@ -3,7 +3,7 @@
 use core::f64::consts::TAU;
 
 use hal::psm::{ACTUATORS, EFFORT_MAX, POSITION_MAX, POSITION_MIN};
-use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, TimeNs};
+use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, TICK_S, TimeNs};
 
 use super::config::PlantConfig;
 use super::coupling::{
@@ -131,7 +131,7 @@ impl Plant {
 
     /// Advances one millisecond under `load`.
     pub fn step(&mut self, load: &Load) {
-        let step_s = 1e-3 / f64::from(self.config.substeps);
+        let step_s = TICK_S / f64::from(self.config.substeps);
         for _ in 0..self.config.substeps {
             self.substep(load, step_s);
         }
@@ -225,14 +225,8 @@ impl Plant {
         &self.velocity
     }
 
-    /// Begins a sub-step of `step_s`: lets the joint controllers work, and says where that leads but for dry friction and
-    /// contacts.
-    pub(crate) fn begin(&mut self, load: &Load, step_s: f64) -> FreeDrives {
-        self.effort = if self.enabled {
-            self.controller()
-        } else {
-            [0.0; AXIS_COUNT]
-        };
+    /// Efforts on the joints from outside: of their stops and of `load`, N m (N).
+    fn outside_efforts(&self, load: &Load) -> AxisVector {
         let rate = self.joint_velocities();
         let mut outside = stop_efforts(&self.joints(), &rate);
         for (sum, effort) in outside.iter_mut().zip(&load.efforts) {
@@ -241,7 +235,18 @@ impl Plant {
         let squeezed = load.efforts[JOINT_COUNT].max(0.0);
         outside[JOINT_COUNT] -=
             (load.squeeze_damping * rate[JOINT_COUNT]).clamp(-squeezed, squeezed);
-        let outside = actuator_efforts(&outside);
+        outside
+    }
+
+    /// Begins a sub-step of `step_s`: lets the joint controllers work, and says where that leads but for dry friction and
+    /// contacts.
+    pub(crate) fn begin(&mut self, load: &Load, step_s: f64) -> FreeDrives {
+        self.effort = if self.enabled {
+            self.controller()
+        } else {
+            [0.0; AXIS_COUNT]
+        };
+        let outside = actuator_efforts(&self.outside_efforts(load));
         let mut free = FreeDrives::default();
         for (axis, outside) in outside.iter().enumerate() {
             let per_inertia = step_s / self.config.inertia[axis];

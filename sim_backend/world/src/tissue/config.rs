@@ -2,8 +2,8 @@
 
 use core::f64::consts::PI;
 
-use hal::Pose;
 use hal::config::{ConfigError, Source};
+use hal::{Pose, TICK_S};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
@@ -54,9 +54,6 @@ pub struct MarkConfig {
     pub inset_m: f64,
 }
 
-/// Length of a step of the tissue, s.
-pub(super) const STEP_S: f64 = 1e-3;
-
 /// Share of the stability limit of the sheet at rest that a sub-step may use: a sheet stretched by half as much again is
 /// 1.6 times as fast.
 const STRETCHED_SHARE: f64 = 0.62;
@@ -73,12 +70,8 @@ impl TissueConfig {
         source.check_range(&of("length_m"), self.length_m, 0.01, 0.3)?;
         source.check_range(&of("depth_m"), self.depth_m, 0.01, 0.3)?;
         for axis in 0..2 {
-            source.check_range(
-                &of(&format!("cells.{axis}")),
-                count(self.cells[axis]),
-                2.0,
-                60.0,
-            )?;
+            let (key, cells) = (of(&format!("cells.{axis}")), count(self.cells[axis]));
+            source.check_range(&key, cells, 2.0, 60.0)?;
             source.check_range(&of(&format!("edge_m.{axis}")), self.edge_m[axis], -0.2, 0.2)?;
         }
         source.check_range(&of("yaw_rad"), self.yaw_rad, -PI, PI)?;
@@ -88,12 +81,8 @@ impl TissueConfig {
         self.grasp.check(source, &of("grasp"))?;
         self.mark.check(source, &of("mark"), self)?;
         source.check_range(&of("gravity_m_s2"), self.gravity_m_s2, 0.0, 20.0)?;
-        source.check_range(
-            &of("substeps"),
-            f64::from(self.substeps),
-            self.substeps_min(),
-            64.0,
-        )
+        let (substeps, least) = (f64::from(self.substeps), self.substeps_min());
+        source.check_range(&of("substeps"), substeps, least, 64.0)
     }
 
     /// Fewest sub-steps that are stable, with room for a stretched sheet and for the stiffness of its contacts.
@@ -109,7 +98,7 @@ impl TissueConfig {
         let damping_ratio = self.ground.damping_ratio.max(self.instrument.damping_ratio);
         let step_s = longest_step_s(fastest, 2.0 * damping_ratio / fastest.sqrt());
         most_s = most_s.min(CONTACT_SHARE * step_s);
-        (STEP_S / most_s).ceil()
+        (TICK_S / most_s).ceil()
     }
 
     /// The sheet at rest in `pose`, its first two rows fixed: the attached edge keeps its place and its slope.

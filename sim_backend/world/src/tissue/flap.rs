@@ -1,17 +1,17 @@
 //! Hot path: bounded, no allocation after construction, no I/O, no lock.
 //! The flap with everything that touches it, a millisecond at a time.
 
-use hal::Pose;
+use hal::{Pose, TICK_S};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::bed::Bed;
-use super::config::{STEP_S, TissueConfig};
+use super::config::TissueConfig;
 use super::contact::Part;
 use super::ground::Ground;
 use super::instrument::Jaw;
 use super::jaw::JawInput;
 use super::lay::lay;
-use super::report::{Grasp, JawReport, TissueReport};
+use super::report::{JawReport, TissueReport};
 use super::samples::{MaterialPoint, Samples};
 use super::sheet::Sheet;
 
@@ -54,11 +54,10 @@ impl Tissue {
         let mark_m = config.mark.draw(seed, config);
         let mark = MaterialPoint::at(&sheet, mark_m);
         let speed_max_m_s =
-            0.5 * sheet.spacing_m[0].min(sheet.spacing_m[1]) * f64::from(config.substeps) / STEP_S;
-        let jaws = jaws
-            .iter()
-            .map(|input| Jaw::new(config, input, &sheet, &samples))
-            .collect();
+            0.5 * sheet.spacing_m[0].min(sheet.spacing_m[1]) * f64::from(config.substeps) / TICK_S;
+        let jaws = jaws.iter();
+        let jaws = jaws.map(|input| Jaw::new(config, input, &sheet, &samples));
+        let jaws = jaws.collect();
         let mut tissue = Self {
             kept: sheet.positions.clone(),
             sheet,
@@ -105,13 +104,9 @@ impl Tissue {
             self.freeze();
             return;
         }
-        self.bed.begin(&self.sheet);
-        for (index, jaw) in self.jaws.iter_mut().enumerate() {
-            let input = inputs.get(index).copied().unwrap_or(jaw.input);
-            jaw.begin(&input, &self.sheet, &self.samples);
-        }
+        self.begin(inputs);
         let substeps = f64::from(self.substeps);
-        let dt_s = STEP_S / substeps;
+        let dt_s = TICK_S / substeps;
         for substep in 1..=self.substeps {
             self.substep(f64::from(substep) / substeps, dt_s);
         }
@@ -122,6 +117,15 @@ impl Tissue {
             self.look();
         } else {
             self.freeze();
+        }
+    }
+
+    /// Begins a millisecond: ground and jaws find what is near them.
+    fn begin(&mut self, inputs: &[JawInput]) {
+        self.bed.begin(&self.sheet);
+        for (index, jaw) in self.jaws.iter_mut().enumerate() {
+            let input = inputs.get(index).copied().unwrap_or(jaw.input);
+            jaw.begin(&input, &self.sheet, &self.samples);
         }
     }
 
@@ -202,17 +206,19 @@ impl Tissue {
             .fold(0.0, f64::max);
         report.lost = self.jaws.iter().map(|jaw| jaw.hold.lost()).sum();
         report.mark_rise_m = (self.mark.of(&self.sheet.positions) - self.mark_rest).z;
+        self.measure_from_mark();
+        self.report.grasp = self.jaws.iter().find_map(|jaw| jaw.report.grasp);
+    }
+
+    /// Reads off how far beside the mark each jaw holds the tissue, m along it.
+    fn measure_from_mark(&mut self) {
         let mark_m = self.mark_m;
-        let away = |grasp: &Grasp| {
-            let [u, v] = [grasp.middle_m[0] - mark_m[0], grasp.middle_m[1] - mark_m[1]];
-            (u * u + v * v).sqrt()
-        };
         for jaw in &mut self.jaws {
             if let Some(grasp) = &mut jaw.report.grasp {
-                grasp.beside_mark_m = away(grasp);
+                let [u, v] = [grasp.middle_m[0] - mark_m[0], grasp.middle_m[1] - mark_m[1]];
+                grasp.beside_mark_m = (u * u + v * v).sqrt();
             }
         }
-        report.grasp = self.jaws.iter().find_map(|jaw| jaw.report.grasp);
     }
 
     /// Forces and deformation of the whole flap in the newest step.

@@ -212,12 +212,7 @@ impl Hold {
     ) {
         let gap_m = jaw.gap_m();
         if self.holds() {
-            let torn_out = pulled_n > self.config.break_force_n;
-            let opened = gap_m > self.gap_m + self.config.release_m;
-            if torn_out || opened || jaw.grip_n < 0.5 * self.config.grip_n_min {
-                self.lost += u32::from(torn_out);
-                self.let_go();
-            }
+            self.let_go_if(pulled_n, gap_m, jaw.grip_n);
             return;
         }
         if gap_m > OPEN * self.config.gap_m_max {
@@ -225,12 +220,21 @@ impl Hold {
         } else if gap_m < SHUT * self.config.gap_m_max {
             self.armed = false;
         }
-        let pressed = pressed_n
-            .iter()
-            .all(|load| *load >= self.config.press_n_min);
+        let least_n = self.config.press_n_min;
+        let pressed = pressed_n.iter().all(|load| *load >= least_n);
         if self.armed && pressed && jaw.grip_n >= self.config.grip_n_min {
             self.take(jaw, sheet, samples);
             self.gap_m = gap_m;
+        }
+    }
+
+    /// Lets go where the patch is torn out of the jaw, the jaw has opened or hardly grips.
+    fn let_go_if(&mut self, pulled_n: f64, gap_m: f64, grip_n: f64) {
+        let torn_out = pulled_n > self.config.break_force_n;
+        let opened = gap_m > self.gap_m + self.config.release_m;
+        if torn_out || opened || grip_n < 0.5 * self.config.grip_n_min {
+            self.lost += u32::from(torn_out);
+            self.let_go();
         }
     }
 
@@ -254,6 +258,11 @@ impl Hold {
             return;
         }
         self.armed = false;
+        self.stiffen();
+    }
+
+    /// Gives the nodes of all ties their springs.
+    fn stiffen(&mut self) {
         for tie in &self.ties {
             self.held[tie.index] = true;
             for (node, weight) in tie.point.shares() {

@@ -1,9 +1,9 @@
 //! One instrument in the tissue: its parts, its hold, and what it felt of both.
 
-use hal::Pose;
+use hal::{Pose, TICK_S};
 use nalgebra::Vector3;
 
-use super::config::{STEP_S, TissueConfig};
+use super::config::TissueConfig;
 use super::contact::{Felt, Part};
 use super::grasp::Hold;
 use super::jaw::{JawInput, Motion, PAD_MIDDLE_M, Solid, Wrench, frame_along};
@@ -36,7 +36,7 @@ impl Jaw {
         let part = |solid, pose: &Pose| Part::new(solid, &config.instrument, pose, sheet, samples);
         Self {
             input: *input,
-            motion: Motion::new(&input.middle(), &input.middle(), STEP_S),
+            motion: Motion::new(&input.middle(), &input.middle(), TICK_S),
             parts: [
                 part(Solid::finger(1.0), &first),
                 part(Solid::finger(-1.0), &second),
@@ -48,7 +48,7 @@ impl Jaw {
     }
 
     pub(super) fn begin(&mut self, input: &JawInput, sheet: &Sheet, samples: &Samples) {
-        self.motion = Motion::new(&self.input.middle(), &input.middle(), STEP_S);
+        self.motion = Motion::new(&self.input.middle(), &input.middle(), TICK_S);
         self.input = *input;
         let (wrist, _) = frame_along(&input.wrist[0], &input.wrist[1]);
         let poses = [input.fingers[0], input.fingers[1], wrist];
@@ -62,7 +62,7 @@ impl Jaw {
             });
         }
         for (part, pose) in self.parts.iter_mut().zip(poses) {
-            part.begin(&pose, STEP_S, sheet, samples, self.hold.held());
+            part.begin(&pose, TICK_S, sheet, samples, self.hold.held());
         }
     }
 

@@ -16,10 +16,10 @@
 
 use core::fmt;
 
+use hal::TICK_S;
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 
-use super::config::STEP_S;
 use super::report::TissueReport;
 
 /// What counts as a retracted flap, and what ends the episode at once.
@@ -284,7 +284,7 @@ impl RetractionMonitor {
             ),
             (&mut lasting.fast_s, report.speed_m_s > config.speed_m_s_max),
         ] {
-            *seconds = if lasts { *seconds + STEP_S } else { 0.0 };
+            *seconds = if lasts { *seconds + TICK_S } else { 0.0 };
         }
     }
 
@@ -338,5 +338,5 @@ impl RetractionMonitor {
 
 /// Whether `seconds`, a sum of steps, amounts to `limit_s`; sums of milliseconds are exact to far less than half of one.
 fn reached(seconds: f64, limit_s: f64) -> bool {
-    seconds > limit_s - 0.5 * STEP_S
+    seconds > limit_s - 0.5 * TICK_S
 }

@@ -84,6 +84,13 @@ impl Surface {
                 self.set(whole + here, &(self.middle[here] - offset), &-normal);
             }
         }
+        self.update_rim();
+    }
+
+    /// The edge, whose normals lead away from the sheet.
+    fn update_rim(&mut self) {
+        let [columns, rows] = self.points;
+        let whole = columns * rows;
         for corner in 0..self.rim.len() {
             let here = self.rim[corner];
             let next = self.rim[(corner + 1) % self.rim.len()];

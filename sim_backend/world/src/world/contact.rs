@@ -137,29 +137,33 @@ impl Cone {
         let slope = match region {
             Region::Free => Matrix4::zeros(),
             Region::Stick => Matrix4::from_diagonal(&Vector4::new(along, across, across, across)),
-            Region::Slide { pull, length } => {
-                let mu = self.friction;
-                let direction = pull / length;
-                // d(impulse)/d(linear impulse), times the linear impulse's own slope.
-                let ratio = mu * along / across;
-                let share = 1.0 / (1.0 + mu * ratio);
-                let normal = impulse.x;
-                let mut slope = Matrix4::zeros();
-                slope[(0, 0)] = share * along;
-                for i in 0..3 {
-                    slope[(0, 1 + i)] = share * mu * along * direction[i];
-                    slope[(1 + i, 0)] = slope[(0, 1 + i)];
-                    for j in 0..3 {
-                        let parallel = direction[i] * direction[j];
-                        let kronecker = if i == j { 1.0 } else { 0.0 };
-                        slope[(1 + i, 1 + j)] = mu * share * mu * along * parallel
-                            + mu * normal / length * across * (kronecker - parallel);
-                    }
-                }
-                slope
-            }
+            Region::Slide { pull, length } => self.slide_slope(impulse.x, &pull, length),
         };
         (impulse, slope)
+    }
+
+    /// Minus the derivative of the impulse of a sliding contact with the normal impulse `normal`: `pull` is the direction of friction
+    /// times `length`.
+    fn slide_slope(&self, normal: f64, pull: &Vector3<f64>, length: f64) -> Matrix4<f64> {
+        let [along, across] = self.stiff;
+        let mu = self.friction;
+        let direction = pull / length;
+        // d(impulse)/d(linear impulse), times the linear impulse's own slope.
+        let ratio = mu * along / across;
+        let share = 1.0 / (1.0 + mu * ratio);
+        let mut slope = Matrix4::zeros();
+        slope[(0, 0)] = share * along;
+        for i in 0..3 {
+            slope[(0, 1 + i)] = share * mu * along * direction[i];
+            slope[(1 + i, 0)] = slope[(0, 1 + i)];
+            for j in 0..3 {
+                let parallel = direction[i] * direction[j];
+                let kronecker = if i == j { 1.0 } else { 0.0 };
+                slope[(1 + i, 1 + j)] = mu * share * mu * along * parallel
+                    + mu * normal / length * across * (kronecker - parallel);
+            }
+        }
+        slope
     }
 
     fn project(&self, v: &Vector4<f64>) -> (Vector4<f64>, Region) {

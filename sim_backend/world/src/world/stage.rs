@@ -6,6 +6,7 @@ mod find;
 mod rows;
 mod taken;
 
+use hal::TICK_S;
 use nalgebra::{Point3, Vector3};
 
 use super::arm::{ArmUnit, PartPoses};
@@ -21,8 +22,6 @@ use crate::plant::AXIS_COUNT;
 
 pub(super) use taken::{TOUCH_N, Touch};
 
-/// Length of a step, s.
-const STEP_S: f64 = 1e-3;
 const PARTS: usize = 3;
 
 /// What one arm's instrument knows of the things and the ground.
@@ -224,7 +223,7 @@ impl Stage {
             .map(|&thing| self.things[thing].moving.inertia_in_scene())
             .collect();
         let substeps = arms.first().map_or(SUBSTEPS_ALONE, ArmUnit::substeps);
-        let step_s = STEP_S / f64::from(substeps);
+        let step_s = TICK_S / f64::from(substeps);
         let drives = AXIS_COUNT * coupled.len();
         for substep in 0..substeps {
             self.masses.drives.clear();

@@ -1,64 +1,13 @@
 //! The SDO client of bring-up: of each node one transfer at a time, with a time limit.
 
-use super::super::link::{Bus, Received, Trouble};
+use super::super::link::Bus;
 use super::BringUpError;
 use super::exchange::{Exchange, alone};
+use super::timed::TIMEOUT_NS;
 use crate::bytes::Bytes;
 use crate::cia301::sdo::{Content, Expedited, Request, Response, Segment};
 use crate::cia301::{AbortCode, Address, Cob};
 use crate::{Frame, NodeId};
-
-/// How long a node may take to answer, ns.
-pub(super) const TIMEOUT_NS: u64 = 500_000_000;
-/// How often the bus is looked at meanwhile, ns.
-pub(super) const LOOK_NS: u64 = 500_000;
-
-/// Sends `frame`, waiting for room in the transmit queue. Frames received meanwhile are discarded.
-pub(super) fn send<B: Bus>(bus: &mut B, line: u8, frame: Frame) -> Result<(), BringUpError> {
-    let end = bus.now().plus_ns(TIMEOUT_NS);
-    while bus.send(line, &[frame]) == 0 {
-        // An interface that is down takes nothing, and says so only to who listens.
-        expect(bus, line, 0, |_| None::<()>)?;
-        if bus.now() >= end {
-            return Err(BringUpError::CannotSend { line });
-        }
-        bus.wait(bus.now().plus_ns(LOOK_NS));
-    }
-    Ok(())
-}
-
-/// What `pick` finds among the frames of `line` within `limit_ns`; none if nothing came.
-pub(super) fn expect<B: Bus, T>(
-    bus: &mut B,
-    line: u8,
-    limit_ns: u64,
-    mut pick: impl FnMut(&Frame) -> Option<T>,
-) -> Result<Option<T>, BringUpError> {
-    let end = bus.now().plus_ns(limit_ns);
-    loop {
-        let (mut found, mut off) = (None, false);
-        bus.receive(line, &mut |received| match received {
-            Received::Frame(frame) => {
-                if found.is_none() {
-                    found = pick(&frame);
-                }
-            }
-            // What a controller that was restarted has missed is not known.
-            Received::Trouble(Trouble::BusOff | Trouble::Restarted | Trouble::Down) => off = true,
-            Received::Trouble(_) => {}
-        });
-        if off {
-            return Err(BringUpError::Off { line });
-        }
-        if found.is_some() {
-            return Ok(found);
-        }
-        if bus.now() >= end {
-            return Ok(None);
-        }
-        bus.wait(bus.now().plus_ns(LOOK_NS));
-    }
-}
 
 impl<B: Bus> Exchange<'_, B> {
     async fn call(

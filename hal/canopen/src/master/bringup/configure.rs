@@ -4,9 +4,8 @@ use super::super::link::Bus;
 use super::super::plan::ArmPlan;
 use super::BringUpError;
 use super::exchange::Exchange;
-use super::settings::{Setting, differs, hold, is_missing, keep};
-use crate::NodeId;
-use crate::bytes::Bytes;
+use super::settings::{Setting, hold, keep};
+use super::writer::{INVALID, Writer};
 use crate::cia301::cob::{PdoNumber, SYNC_ID};
 use crate::cia301::pdo::{MappingEntry, PdoCob, SyncCount, Transmission};
 use crate::cia301::{Address, Cob};
@@ -24,109 +23,16 @@ const DEADLINE_MS_MIN: u64 = 10;
 const PDOS_A_DEVICE: u16 = 64;
 const DEVICES_MAX: u16 = 8;
 const PDOS_NAMED: u16 = 4;
-/// A PDO that is not in use. SYNC and time stamps that the node itself sends, and time stamps that it hears (1005h, 1012h).
-const INVALID: u32 = 1 << 31;
-/// What makes out a PDO that is in use: that it is, and its identifier of eleven bits. Whether it may be asked for with a remote
-/// frame, which nobody sends, is the drive's own.
+/// The bits of the COB-ID of a PDO in use that are compared: valid, and the identifier of eleven bits. Whether remote frames are
+/// allowed, which no node sends, is the drive's own.
 const IN_USE: u32 = INVALID | 1 << 29 | 0x7FF;
+/// SYNC and time stamps that the node itself sends, and time stamps that it hears (1005h, 1012h).
 const PRODUCED: u32 = 1 << 30;
 const CONSUMED: u32 = 1 << 31;
 /// Time stamps, which our own drives do without.
 const TIME_COB: Address = Address::new(0x1012, 0);
 
-/// Where to write.
-pub(super) struct Writer<'a, 'b, B> {
-    pub(super) exchange: &'a Exchange<'b, B>,
-    pub(super) line: u8,
-    pub(super) node: NodeId,
-}
-
 impl<B: Bus> Writer<'_, '_, B> {
-    pub(super) async fn read(&self, address: Address) -> Result<Bytes, BringUpError> {
-        self.exchange.read(self.line, self.node, address).await
-    }
-
-    pub(super) async fn read_number(&self, address: Address) -> Result<u32, BringUpError> {
-        self.exchange
-            .read_number(self.line, self.node, address)
-            .await
-    }
-
-    async fn put(&self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
-        self.exchange
-            .write(self.line, self.node, address, data)
-            .await
-    }
-
-    /// Writes and compares.
-    pub(super) async fn set(&self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
-        self.put(address, data).await?;
-        let found = self.read(address).await?;
-        if found.as_slice() == data {
-            Ok(())
-        } else {
-            Err(differs(self.node, address, found.as_slice(), data))
-        }
-    }
-
-    /// Writes what not every drive has.
-    async fn set_if_there(&self, address: Address, data: &[u8]) -> Result<(), BringUpError> {
-        match self.set(address, data).await {
-            Err(BringUpError::Refused { code, .. }) if is_missing(code) => Ok(()),
-            other => other,
-        }
-    }
-
-    /// Writes what may be refused; tells whether there is such an object.
-    pub(super) async fn try_put(
-        &self,
-        address: Address,
-        data: &[u8],
-    ) -> Result<bool, BringUpError> {
-        match self.put(address, data).await {
-            Ok(()) => Ok(true),
-            Err(BringUpError::Refused { code, .. }) => Ok(!is_missing(code)),
-            Err(error) => Err(error),
-        }
-    }
-
-    /// Takes a PDO out of use, whatever identifier it has; tells whether there is one. `record` is its sub-index 01h.
-    async fn switch_off(&self, record: Address) -> Result<bool, BringUpError> {
-        self.bits(record, INVALID, INVALID).await
-    }
-
-    /// Gives the bits `mask` of a COB-ID the value that they have in `wanted`, and no other bit another one: while it is in use
-    /// those may not change. What a drive makes of them thereafter is its own; they mean nothing then. Tells whether there is
-    /// such an object.
-    async fn bits(&self, address: Address, mask: u32, wanted: u32) -> Result<bool, BringUpError> {
-        let found = match self.read_number(address).await {
-            Ok(found) if found & mask == wanted => return Ok(true),
-            Ok(found) => found,
-            Err(BringUpError::Refused { code, .. }) if is_missing(code) => return Ok(false),
-            Err(error) => return Err(error),
-        };
-        self.cob(address, mask, found & !mask | wanted).await?;
-        Ok(true)
-    }
-
-    /// Writes a COB-ID; the bits `mask` of what there is then have to be as they were written.
-    async fn cob(&self, address: Address, mask: u32, written: u32) -> Result<(), BringUpError> {
-        self.put(address, &written.to_le_bytes()).await?;
-        let node = self.node;
-        let found = self.read_number(address).await?;
-        if (found ^ written) & mask == 0 {
-            Ok(())
-        } else {
-            Err(BringUpError::CobId {
-                node,
-                address,
-                written,
-                found,
-                mask,
-            })
-        }
-    }
-
     /// One PDO that is off: identifier, mapping, transmission, on.
     async fn pdo(
         &self,
@@ -211,7 +117,7 @@ pub(super) async fn node<B: Bus>(
 /// All that a drive may have stored to be said or heard beside what the plan counts: PDOs, as a second way to command it or as
 /// load on the bus, and time stamps. What is used is put into use afterwards.
 ///
-/// The first four PDOs are asked for one by one, the others up to the first that a node lacks, and so for each logical device
+/// The first four PDOs are read one by one, the others up to the first that a node lacks, and so for each logical device
 /// that it may have.
 async fn silence<B: Bus>(to: &Writer<'_, '_, B>) -> Result<(), BringUpError> {
     for direction in [index::rpdo(0, 1), index::tpdo(0, 1)] {

@@ -47,15 +47,7 @@ pub fn enable_together<B: Bus>(
     let mut turns = Turns::new(&arms, start);
     match turns.until_enabled(&mut arms, allowed) {
         Ok(()) => Ok(arms),
-        Err((place, cause)) => {
-            let confirmed = turns.take_down(&mut arms);
-            let cause = if turns.switched_on && !confirmed {
-                BringUpError::NotDown(Box::new(cause))
-            } else {
-                cause
-            };
-            Err((place, cause))
-        }
+        Err((place, cause)) => Err((place, turns.take_down_after(cause, &mut arms))),
     }
 }
 
@@ -134,7 +126,7 @@ impl Turns {
         }
     }
 
-    /// Waits for the next cycle. SYNCs that a late process has missed are not made up for: nobody could answer them.
+    /// Waits for the next cycle. SYNCs that a late process has missed are not made up for: no drive could answer them.
     fn next<B: Bus>(&mut self, arms: &mut [CanArm<B>]) {
         self.at = self.at.plus_ns(self.cycle_ns);
         if let Some(first) = arms.first_mut() {
@@ -155,9 +147,8 @@ impl Turns {
                 (_, Permission::Denied) => return Err((slow, BringUpError::Denied)),
                 (None, Permission::Granted) => {
                     since = Some(self.at);
-                    for arm in arms.iter_mut() {
-                        arm.set_goal(self.at, Goal::Enabled);
-                    }
+                    let goal = |arm: &mut CanArm<B>| arm.set_goal(self.at, Goal::Enabled);
+                    arms.iter_mut().for_each(goal);
                 }
                 _ => {}
             }
@@ -166,16 +157,34 @@ impl Turns {
             }
             self.next(arms);
             for (place, arm) in arms.iter_mut().enumerate() {
-                arm.turn(self.at);
-                let mut states = arm.cycle().states().into_iter().flatten();
-                self.switched_on |=
-                    states.any(|state| state == PowerState::SwitchedOn || state.has_torque());
-                if let Some(fault) = arm.fault() {
-                    return Err((place, BringUpError::Fault(fault)));
-                }
+                self.turn(arm).map_err(|cause| (place, cause))?;
             }
         }
         Ok(())
+    }
+
+    /// A cycle of `arm`; notes whether a drive of it is switched on.
+    fn turn<B: Bus>(&mut self, arm: &mut CanArm<B>) -> Result<(), BringUpError> {
+        arm.turn(self.at);
+        let mut states = arm.cycle().states().into_iter().flatten();
+        self.switched_on |=
+            states.any(|state| state == PowerState::SwitchedOn || state.has_torque());
+        arm.fault()
+            .map_or(Ok(()), |fault| Err(BringUpError::Fault(fault)))
+    }
+
+    /// Takes the drives of `arms` down because of `cause`, and says so where one that was switched on does not confirm it.
+    fn take_down_after<B: Bus>(
+        &mut self,
+        cause: BringUpError,
+        arms: &mut [CanArm<B>],
+    ) -> BringUpError {
+        let confirmed = self.take_down(arms);
+        if self.switched_on && !confirmed {
+            BringUpError::NotDown(Box::new(cause))
+        } else {
+            cause
+        }
     }
 
     /// Takes the drives of all arms down and stops their nodes; whether all have confirmed that they have no torque.

@@ -13,7 +13,7 @@ use super::super::cycle::LINES_MAX;
 use super::super::link::{Bus, Received, Trouble};
 use super::super::plan::ArmPlan;
 use super::BringUpError;
-use super::client::{LOOK_NS, TIMEOUT_NS};
+use super::timed::{LOOK_NS, TIMEOUT_NS};
 use super::watched::Watched;
 use crate::Frame;
 use crate::cia301::cob::SYNC_ID;
@@ -264,6 +264,17 @@ fn poll<F: Future>(sequence: Pin<&mut F>) -> Poll<F::Output> {
     sequence.poll(&mut Context::from_waker(Waker::noop()))
 }
 
+/// Polls each of `sequences` that has no result yet.
+fn poll_all<F: Future>(sequences: &mut [Pin<Box<F>>], results: &mut [Option<F::Output>]) {
+    for (sequence, result) in sequences.iter_mut().zip(results) {
+        if result.is_none()
+            && let Poll::Ready(ended) = poll(sequence.as_mut())
+        {
+            *result = Some(ended);
+        }
+    }
+}
+
 /// A sequence with one node of `line`, as it is outside of bring-up.
 pub(in super::super) fn alone<B: Bus, T>(
     bus: &mut B,
@@ -330,25 +341,17 @@ impl<B: Bus> Watched<B> {
         sequence: impl AsyncFn(&Exchange<'_, Self>, usize) -> Result<T, BringUpError>,
         ends: impl Fn(&[Option<Result<T, BringUpError>>], &Self) -> bool,
     ) -> Vec<Option<Result<T, BringUpError>>> {
-        let cancelled = self.cancelled;
         let exchange = Exchange {
-            cancelled,
+            cancelled: self.cancelled,
             ..Exchange::new(self, 0..plan.lines, Pace::of(plan))
         };
-        let mut sequences: Vec<_> = axes
-            .iter()
-            .map(|&axis| Box::pin(sequence(&exchange, axis)))
-            .collect();
+        let sequences = axes.iter();
+        let sequences = sequences.map(|&axis| Box::pin(sequence(&exchange, axis)));
+        let mut sequences: Vec<_> = sequences.collect();
         let mut results: Vec<_> = axes.iter().map(|_| None).collect();
         loop {
             exchange.look();
-            for (sequence, result) in sequences.iter_mut().zip(&mut results) {
-                if result.is_none()
-                    && let Poll::Ready(ended) = poll(sequence.as_mut())
-                {
-                    *result = Some(ended);
-                }
-            }
+            poll_all(&mut sequences, &mut results);
             if results.iter().all(Option::is_some) || ends(&results, &**exchange.bus.borrow()) {
                 break;
             }

@@ -5,10 +5,9 @@
 
 use super::super::link::Bus;
 use super::super::plan::{ArmPlan, HomingPlan, Who};
-use super::configure::Writer;
 use super::exchange::Exchange;
-use super::settings::is_missing;
 use super::watched::Watched;
+use super::writer::{Writer, is_missing};
 use super::{BringUpError, Step};
 use crate::cia301::cob::PdoNumber;
 use crate::cia301::emcy::ErrorCode;
@@ -70,14 +69,34 @@ fn home<B: Bus>(
         let axis = Axis::new(exchange, plan, axis, positions[axis]);
         axis.reference().await
     });
-    let complete = homed.is_ok();
+    let let_go = let_all_go(bus, plan, axes, &positions, homed.is_ok());
+    homed?;
+    bus.judge(let_go)?;
+    set_cyclic_position(bus, plan, axes, &positions)
+}
+
+/// Lets go the drives of `axes`, which are at `positions` (counts) and whose homing is `complete` or was ended.
+fn let_all_go<B: Bus>(
+    bus: &mut Watched<B>,
+    plan: &ArmPlan,
+    axes: &[usize],
+    positions: &[u32; TAIL_AXES],
+    complete: bool,
+) -> Result<Vec<()>, BringUpError> {
     let let_go = bus.each_to_its_end(plan, axes, async |exchange, axis| {
         let axis = Axis::new(exchange, plan, axis, positions[axis]);
         axis.let_go(complete).await
     });
-    let let_go: Result<Vec<()>, BringUpError> = let_go.into_iter().collect();
-    homed?;
-    bus.judge(let_go)?;
+    let_go.into_iter().collect()
+}
+
+/// Puts the drives of `axes`, which are at `positions` (counts), into the mode of the control loop.
+fn set_cyclic_position<B: Bus>(
+    bus: &mut Watched<B>,
+    plan: &ArmPlan,
+    axes: &[usize],
+    positions: &[u32; TAIL_AXES],
+) -> Result<(), BringUpError> {
     let modes = bus.side_by_side(plan, axes, async |exchange, axis| {
         let axis = Axis::new(exchange, plan, axis, positions[axis]);
         axis.write(index::MODE, &Mode::CyclicPosition.raw().to_le_bytes())
@@ -248,7 +267,7 @@ impl<'a, 'b, B: Bus> Axis<'a, 'b, B> {
         let control = Control::new(Command::DisableVoltage);
         let let_go = self.command(control, down).await;
         self.exchange.set_point(self.axis, None);
-        // One that does not go is stopped: pre-operational takes nobody's torque, see CiA 402-2.
+        // One that does not go is stopped: pre-operational removes no torque, see CiA 402-2.
         let leave = match let_go {
             Ok(()) => NmtCommand::EnterPreOperational,
             Err(_) => NmtCommand::Stop,

@@ -7,8 +7,7 @@
 use super::super::link::Bus;
 use super::super::plan::{ArmPlan, AxisPlan};
 use super::BringUpError;
-use super::configure::Writer;
-use crate::NodeId;
+use super::writer::{INVALID, Writer, is_missing};
 use crate::cia301::{AbortCode, Address, Cob};
 use crate::index;
 
@@ -28,8 +27,6 @@ const HARDER_MAX: i64 = 10;
 const POLARITY: Address = Address::new(0x607E, 0);
 const VELOCITY_OFFSET: Address = Address::new(0x60B1, 0);
 const TORQUE_OFFSET: Address = Address::new(0x60B2, 0);
-/// A COB-ID that is not in use.
-const INVALID: u32 = 1 << 31;
 
 /// An object, the value that it is given, and what else it may be.
 pub(super) struct Setting {
@@ -205,7 +202,7 @@ pub(super) async fn keep<B: Bus>(
     })
 }
 
-/// Emergencies come under the identifier that CiA 301 gives them, or nobody would hear them, and at once: no later than a cycle
+/// Emergencies come under the identifier that CiA 301 gives them, or the master would not receive them, and at once: no later than a cycle
 /// after the one before.
 async fn emergencies<B: Bus>(to: &Writer<'_, '_, B>, cycle_ns: u64) -> Result<(), BringUpError> {
     let address = index::EMERGENCY_COB;
@@ -230,28 +227,4 @@ async fn emergencies<B: Bus>(to: &Writer<'_, '_, B>, cycle_ns: u64) -> Result<()
         &Setting::unsigned(index::EMERGENCY_INHIBIT, 2, 0).allowed(0, cycle_100_us),
     )
     .await
-}
-
-/// Whether a refusal means that the drive has no such object.
-pub(super) fn is_missing(code: AbortCode) -> bool {
-    code == AbortCode::NO_OBJECT || code == AbortCode::NO_SUB_INDEX
-}
-
-/// A number of up to eight bytes without a sign.
-pub(super) fn plain(data: &[u8]) -> i64 {
-    let mut all = [0; 8];
-    let length = data.len().min(all.len());
-    all[..length].copy_from_slice(&data[..length]);
-    i64::from_le_bytes(all)
-}
-
-/// What a node has instead of exactly `wanted`.
-pub(super) fn differs(node: NodeId, address: Address, found: &[u8], wanted: &[u8]) -> BringUpError {
-    BringUpError::Setting {
-        node,
-        address,
-        found: plain(found),
-        least: plain(wanted),
-        most: plain(wanted),
-    }
 }

@@ -7,7 +7,7 @@ use super::super::cycle::LINES_MAX;
 use super::super::foreign::leads;
 use super::super::link::{Bus, Received, Trouble};
 use super::super::plan::ArmPlan;
-use super::client::{self, expect};
+use super::timed::{expect, send};
 use super::{BringUpError, Step};
 use crate::Frame;
 use crate::cia301::{NmtCommand, NmtTarget};
@@ -106,7 +106,7 @@ impl<B: Bus> Watched<B> {
     /// in time does not hear it; the others do.
     pub(super) fn stop(&mut self) {
         for (line, stop) in stops(&self.plan) {
-            let _ = client::send(&mut self.bus, line, stop);
+            let _ = send(&mut self.bus, line, stop);
         }
     }
 

@@ -24,16 +24,7 @@ impl Cycle {
         }
         let mut asks = false;
         for n in 0..TAIL_AXES {
-            let axis = &mut self.axes[n];
-            if self.pauses == 0 {
-                axis.end_cycle();
-                asks |= axis.asks_for_pause();
-            } else {
-                asks |= axis.end_pause(self.pauses);
-            }
-            if axis.health.age_cycles < LOST_AFTER {
-                axis.trusted = axis.sampled;
-            }
+            asks |= self.end_period(n);
             self.judge_presence(n, now);
             self.judge_drive(n, now);
         }
@@ -45,6 +36,21 @@ impl Cycle {
         if self.goal == Goal::Enabled && self.is_enabled() {
             self.reached = true;
         }
+    }
+
+    /// Counts the answers of the axis `n` in the period that ends; whether a pause would tell which SYNC they belong to.
+    fn end_period(&mut self, n: usize) -> bool {
+        let axis = &mut self.axes[n];
+        let asks = if self.pauses == 0 {
+            axis.end_cycle();
+            axis.asks_for_pause()
+        } else {
+            axis.end_pause(self.pauses)
+        };
+        if axis.health.age_cycles < LOST_AFTER {
+            axis.trusted = axis.sampled;
+        }
+        asks
     }
 
     fn judge_sending(&mut self, now: TimeNs) {

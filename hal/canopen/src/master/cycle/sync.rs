@@ -12,13 +12,7 @@ impl Cycle {
     /// Begins the period at `now`: with a SYNC, which puts the set-points that were sent into effect, or as a pause.
     pub fn begin(&mut self, now: TimeNs) {
         self.began = Some(now);
-        let period_ns = u64::from(self.plan.heartbeat_ms) * 1_000_000;
-        self.alive = self
-            .heartbeat
-            .is_none_or(|then| now.since(then) >= period_ns);
-        if self.alive {
-            self.heartbeat = Some(now);
-        }
+        self.time_heartbeat(now);
         if core::mem::take(&mut self.pause) {
             self.pauses += 1;
             self.left_out += 1;
@@ -35,6 +29,17 @@ impl Cycle {
         } else {
             self.counter + 1
         };
+    }
+
+    /// Decides whether our own heartbeat goes out in the period at `now`.
+    fn time_heartbeat(&mut self, now: TimeNs) {
+        let period_ns = u64::from(self.plan.heartbeat_ms) * 1_000_000;
+        self.alive = self
+            .heartbeat
+            .is_none_or(|then| now.since(then) >= period_ns);
+        if self.alive {
+            self.heartbeat = Some(now);
+        }
     }
 
     /// The commands that stop nodes on `line`, in this period, where set-points do not stop their drives.

@@ -11,7 +11,9 @@ use hal::count::count_u8;
 use trocar_canopen::cia301::Address;
 use trocar_canopen::cia301::pdo::MappingEntry;
 
+/// Bit 31 of a COB-ID: the PDO is not in use.
 const INVALID: i64 = 0x8000_0000;
+/// Bit 30 of a TPDO's COB-ID: no remote frames.
 const NO_RTR: i64 = 0x4000_0000;
 
 /// All of them, by index.
@@ -128,6 +130,7 @@ fn network() -> Vec<Object> {
     ]
 }
 
+/// 1018h: vendor, product, revision and serial number.
 fn identity() -> Object {
     several(
         0x1018,
@@ -149,6 +152,7 @@ fn identity() -> Object {
     )
 }
 
+/// 1200h: the COB-IDs of the SDO server.
 fn server() -> Object {
     several(
         0x1200,
@@ -163,6 +167,7 @@ fn server() -> Object {
     )
 }
 
+/// 1003h: the newest error first.
 fn history() -> Object {
     let mut object = several(
         0x1003,
@@ -186,6 +191,7 @@ fn history() -> Object {
     object
 }
 
+/// 1400h and after: communication parameters of an RPDO.
 fn rpdo(number: u8) -> Object {
     let index = 0x1400 + u16::from(number);
     let valid = if number == 0 { 0 } else { INVALID };
@@ -202,6 +208,7 @@ fn rpdo(number: u8) -> Object {
     )
 }
 
+/// 1800h and after: communication parameters of a TPDO.
 fn tpdo(number: u8) -> Object {
     let index = 0x1800 + u16::from(number);
     let valid = if number == 0 { 0 } else { INVALID };
@@ -234,6 +241,7 @@ fn mapped_by_default(direction: &str, number: u8) -> &'static [(u16, u8)] {
     }
 }
 
+/// 1600h or 1A00h and after: what a PDO carries, 64 bits at most.
 fn mapping(base: u16, direction: &str, number: u8) -> Object {
     let index = base + u16::from(number);
     let preset = mapped_by_default(direction, number);

@@ -23,6 +23,7 @@ fn vendor() -> Vec<Object> {
     ]
 }
 
+/// 605Ah to 605Eh and 6007h: how the drive stops, by cause.
 fn options() -> Vec<Object> {
     vec![
         alone(variable(0x6007, "Abort connection option code", I16, ReadWrite, 3).range(0, 3)),
@@ -42,14 +43,17 @@ fn options() -> Vec<Object> {
     ]
 }
 
+/// A value that the drive reports, and that a TPDO may carry.
 fn sent(index: u16, name: &str, kind: DataType) -> Object {
     alone(variable(index, name, kind, ReadOnly, 0).mapped(Mapping::Transmit))
 }
 
+/// A value that the master writes.
 fn set(index: u16, name: &str, kind: DataType, preset: i64) -> Object {
     alone(variable(index, name, kind, ReadWrite, preset))
 }
 
+/// A lower and an upper limit.
 fn pair(index: u16, name: &str, access: Access) -> Object {
     let subs = vec![
         sub(index, 1, "Minimum", I32, access, -0x8000_0000),

@@ -32,6 +32,7 @@ impl Drive {
         false
     }
 
+    /// A command of the control word. Transitions that stop brake first, as 605Ah to 605Eh say.
     pub(super) fn command(&mut self, now: TimeNs, command: Command, dictionary: &Dictionary) {
         let option = |address| dictionary.get(address);
         let ramp = Some(option(index::DECELERATION));
@@ -79,6 +80,7 @@ impl Drive {
         }
     }
 
+    /// Bit 8 of the control word: brakes when it is set, as 605Dh says.
     fn halt(&mut self, now: TimeNs, halt: bool, dictionary: &Dictionary) {
         if halt && !self.halted {
             let quick = dictionary.get(index::HALT_OPTION) == 2;

@@ -12,6 +12,7 @@ use trocar_canopen::index;
 use trocar_canopen::number::{real, seconds};
 
 impl Drive {
+    /// 6060h was written: when the mode changes an enabled drive brakes with 6084h.
     pub(in super::super) fn on_mode(&mut self, now: TimeNs, dictionary: &Dictionary) {
         let raw: i8 = dictionary.get_as(index::MODE);
         if let Ok(mode) = Mode::try_from(raw)

@@ -24,6 +24,7 @@ pub(super) struct Search {
     velocity: f64,
 }
 
+/// Towards the switch, back off it, and to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     ToSwitch,
@@ -50,6 +51,7 @@ impl Drive {
         }
     }
 
+    /// Starts the method of 6098h: at once where it moves nothing.
     fn start_homing(&mut self, now: TimeNs, dictionary: &Dictionary) {
         if direction(dictionary).is_none() {
             self.reference(self.feedback.position_counts, dictionary);

@@ -1,4 +1,4 @@
-//! What a drive says of itself, and its own watch over the motor.
+//! The feedback that a drive reports, and its supervision of the motor.
 //!
 //! CiA 402-2: table 31 (status word), 6065h and 6066h (following error).
 
@@ -15,6 +15,7 @@ impl Drive {
         self.motion.at(now).0 - self.actual()
     }
 
+    /// Whether the following error is beyond its window (6065h), and has been for longer than 6066h.
     fn deviates(&self, now: TimeNs, dictionary: &Dictionary) -> bool {
         let window = dictionary.get(index::FOLLOWING_WINDOW);
         self.state.has_torque()
@@ -37,7 +38,7 @@ impl Drive {
         now.since(since) >= limit_ms * 1_000_000
     }
 
-    /// Writes down what the drive says of itself.
+    /// Writes the actual values and the status word into the dictionary.
     pub(in super::super) fn report(
         &mut self,
         now: TimeNs,

@@ -8,11 +8,12 @@ use super::{DatasetWriter, IMAGE_STATS_STRIDE, check, file_of};
 use crate::dataset::{
     ArmFrame, CameraSpec, Dataset, DatasetError, DatasetSpec, Notes, Totals, VideoCodec,
     episode::Pending,
+    error::mismatch,
     layout,
     listed::{Listed, VideoPlace},
     meta::{self, CHUNK_SIZE, EpisodeRow},
     schema::{self, Feature, IMAGE_PREFIX, Info, VERSION},
-    spec::{mismatch, read_spec, video_features},
+    spec::{read_spec, video_features},
     store::io_error,
 };
 
@@ -70,10 +71,9 @@ impl DatasetWriter {
     fn take_over(&mut self, dataset: &Dataset, row: EpisodeRow) -> Result<(), DatasetError> {
         let mut pending = Pending::new(&self.spec);
         let episode = dataset.episodes()[row.index];
-        let interventions = if self.spec.intervention {
-            dataset.interventions(episode)?
-        } else {
-            vec![false; row.len]
+        let interventions = match self.spec.intervention {
+            true => dataset.interventions(episode)?,
+            false => vec![false; row.len],
         };
         for (frame, &intervention) in interventions.iter().enumerate() {
             let place = row.start + frame;
@@ -82,13 +82,8 @@ impl DatasetWriter {
                     stats.add(dataset.image_rgb(place, camera)?.as_raw());
                 }
             }
-            let arm = |arm| ArmFrame {
-                state: dataset.state(place, arm),
-                tip_pose: dataset.tip_pose(place, arm),
-                action: dataset.action(place, arm),
-            };
-            let arms: Vec<ArmFrame> = (0..self.spec.arms).map(arm).collect();
-            pending.push(&arms, intervention);
+            let arms = (0..self.spec.arms).map(|arm| arm_frame(dataset, place, arm));
+            pending.push(&arms.collect::<Vec<_>>(), intervention);
         }
         for ((camera, _), columns) in self.spec.depth_cameras().zip(&mut pending.depth) {
             columns.camera_in_scene = dataset.camera_poses(episode, &camera.name)?;
@@ -97,6 +92,14 @@ impl DatasetWriter {
         self.frame_count += row.len;
         self.add_stats(&row, &pending);
         Ok(())
+    }
+}
+
+fn arm_frame(dataset: &Dataset, place: usize, arm: usize) -> ArmFrame {
+    ArmFrame {
+        state: dataset.state(place, arm),
+        tip_pose: dataset.tip_pose(place, arm),
+        action: dataset.action(place, arm),
     }
 }
 

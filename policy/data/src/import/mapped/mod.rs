@@ -15,7 +15,6 @@ mod tests;
 
 use std::path::PathBuf;
 
-use hal::ARM_NAMES;
 use image::RgbImage;
 use image::imageops::{self, FilterType};
 use serde::Serialize;
@@ -27,6 +26,7 @@ use self::mapping::CameraMapping;
 use self::raw::RawRecordings;
 use self::recordings::{Label, Recordings};
 use super::ImportError;
+use super::arms::robot_type;
 use crate::dataset::{CameraSpec, DatasetSpec, DatasetWriter, FrameRecord, VideoCodec};
 
 pub use self::mapping::{
@@ -79,7 +79,8 @@ pub struct MappedSummary {
     pub instructions: Vec<String>,
 }
 
-/// Writes the episodes of `request.source` as the dataset `request.out`. `done` is told after each how many there are of how many.
+/// Writes the episodes of `request.source` as the dataset `request.out`. After each `done` gets the number of
+/// episodes so far and of all.
 ///
 /// # Errors
 /// An [`ImportError`] that names the file, the episode, the mapping's key, the step and what would do. Every number is looked at before
@@ -162,14 +163,7 @@ impl Survey {
         };
         for episode in 0..recordings.episodes() {
             let label = recordings.label(episode)?;
-            let wanted = match &request.split {
-                Some(split) => {
-                    let failed = label == Label::Failure && split != "failure";
-                    recordings.is_in_split(split, episode)? && !failed
-                }
-                None => label != Label::Failure,
-            };
-            if wanted {
+            if is_wanted(request, recordings, episode, label)? {
                 survey.recoveries += usize::from(label == Label::Recovery);
                 survey.add(request, recordings, episode)?;
             }
@@ -220,26 +214,15 @@ impl Survey {
         let arms = self.arms.len();
         let mut specs = Vec::new();
         for (index, camera) in cameras.iter().enumerate() {
-            let (width, height) = match request.size {
+            let size = match request.size {
                 Some(size) => size,
                 None => recordings.camera_size(index)?,
             };
-            let alone = camera.name_of_one_arm.as_ref().filter(|_| arms == 1);
-            let name = alone.unwrap_or(&camera.name).clone();
-            specs.push(CameraSpec {
-                name,
-                width,
-                height,
-                depth: None,
-            });
+            specs.push(camera_spec(camera, arms, size));
         }
         Ok(DatasetSpec {
             fps: recordings.fps(),
-            robot_type: match arms < ARM_NAMES.len() {
-                true => "dvrk_psm",
-                false => "bi_dvrk_psm",
-            }
-            .to_owned(),
+            robot_type: robot_type(arms).to_owned(),
             arms,
             task: self.task(request)?,
             cameras: specs,
@@ -272,6 +255,54 @@ impl Survey {
     }
 }
 
+/// Whether an episode with this label is in the split that is requested; without one, all but failures are.
+fn is_wanted(
+    request: &ImportRequest,
+    recordings: &mut dyn Recordings,
+    episode: usize,
+    label: Label,
+) -> Result<bool, ImportError> {
+    let Some(split) = &request.split else {
+        return Ok(label != Label::Failure);
+    };
+    let failed = label == Label::Failure && split != "failure";
+    Ok(recordings.is_in_split(split, episode)? && !failed)
+}
+
+/// A camera of `width` by `height` pixels in a dataset of so many arms.
+fn camera_spec(camera: &CameraMapping, arms: usize, (width, height): (u32, u32)) -> CameraSpec {
+    let alone = camera.name_of_one_arm.as_ref().filter(|_| arms == 1);
+    CameraSpec {
+        name: alone.unwrap_or(&camera.name).clone(),
+        width,
+        height,
+        depth: None,
+    }
+}
+
+/// The images of all cameras in one step of an episode, as RGB bytes of the sizes that `spec` says.
+fn images_of(
+    recordings: &mut dyn Recordings,
+    [episode, step]: [usize; 2],
+    size: Option<(u32, u32)>,
+    spec: &DatasetSpec,
+) -> Result<Vec<Vec<u8>>, ImportError> {
+    let mut images = Vec::with_capacity(spec.cameras.len());
+    for (index, camera) in spec.cameras.iter().enumerate() {
+        let image = sized(recordings.rgb(episode, step, index)?, size);
+        if image.dimensions() != (camera.width, camera.height) {
+            return Err(ImportError::Mismatch {
+                place: recordings.place(episode),
+                name: format!("{} in step {step}", camera.name),
+                found: format!("is {} x {}", image.width(), image.height()),
+                expected: format!("{} x {} as before", camera.width, camera.height),
+            });
+        }
+        images.push(image.into_raw());
+    }
+    Ok(images)
+}
+
 fn copy(
     request: &ImportRequest,
     survey: &Survey,
@@ -282,20 +313,7 @@ fn copy(
 ) -> Result<(), ImportError> {
     let frames = read_arms(recordings, episode, &request.mapping, &survey.arms)?;
     for (step, arms) in frames.iter().enumerate() {
-        let mut images = Vec::with_capacity(spec.cameras.len());
-        for (index, camera) in spec.cameras.iter().enumerate() {
-            let image = recordings.rgb(episode, step, index)?;
-            let image = sized(image, request.size);
-            if image.dimensions() != (camera.width, camera.height) {
-                return Err(ImportError::Mismatch {
-                    place: recordings.place(episode),
-                    name: format!("{} in step {step}", camera.name),
-                    found: format!("is {} x {}", image.width(), image.height()),
-                    expected: format!("{} x {} as before", camera.width, camera.height),
-                });
-            }
-            images.push(image.into_raw());
-        }
+        let images = images_of(recordings, [episode, step], request.size, spec)?;
         let images: Vec<&[u8]> = images.iter().map(Vec::as_slice).collect();
         writer.push_frame(&FrameRecord {
             arms,

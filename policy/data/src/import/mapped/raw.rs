@@ -61,16 +61,7 @@ impl RawRecordings {
                 expected: "tissue_N/K_SUBTASK/episode_NNN/ee_csv.csv",
             });
         };
-        let there =
-            |camera: &&CameraMapping| !camera.optional || first.join(&camera.feature).is_dir();
-        let cameras = &request.mapping.cameras;
-        let cameras: Vec<CameraMapping> = cameras.iter().filter(there).cloned().collect();
-        if cameras.is_empty() && !request.mapping.cameras.is_empty() {
-            return Err(ImportError::Missing {
-                place: first.display().to_string(),
-                name: "each camera's folder".to_owned(),
-            });
-        }
+        let cameras = cameras_in(first, &request.mapping.cameras)?;
         let mut recordings = Self {
             folders,
             cameras: cameras.clone(),
@@ -125,6 +116,19 @@ impl RawRecordings {
     }
 }
 
+/// Those of the mapping's `cameras` that the episode in `folder` has: all but optional ones whose folder is missing.
+fn cameras_in(folder: &Path, cameras: &[CameraMapping]) -> Result<Vec<CameraMapping>, ImportError> {
+    let there = |camera: &&CameraMapping| !camera.optional || folder.join(&camera.feature).is_dir();
+    let found: Vec<CameraMapping> = cameras.iter().filter(there).cloned().collect();
+    if found.is_empty() && !cameras.is_empty() {
+        return Err(ImportError::Missing {
+            place: folder.display().to_string(),
+            name: "each camera's folder".to_owned(),
+        });
+    }
+    Ok(found)
+}
+
 impl Episode {
     fn read(folder: &Path, cameras: &[CameraMapping]) -> Result<Self, ImportError> {
         let path = folder.join(TABLE);
@@ -138,17 +142,9 @@ impl Episode {
         let steps = counts.clone().fold(rows, usize::min);
         let most = counts.fold(rows, usize::max);
         if steps == 0 || most - steps > SURPLUS_MAX {
-            let counts: Vec<String> = cameras
-                .iter()
-                .zip(&frames)
-                .map(|(camera, frames)| format!("{} {}", frames.len(), camera.feature))
-                .collect();
-            return Err(ImportError::Mismatch {
-                place: path.display().to_string(),
-                name: "the episode".to_owned(),
-                found: format!("has {rows} rows and images: {}", counts.join(", ")),
-                expected: format!("as many of each, or up to {SURPLUS_MAX} more at the end"),
-            });
+            let images = cameras.iter().zip(&frames);
+            let images = images.map(|(camera, frames)| (frames.len(), camera.feature.as_str()));
+            return Err(uneven(&path, rows, images));
         }
         table.values.truncate(steps * table.width);
         Ok(Self {
@@ -156,6 +152,23 @@ impl Episode {
             steps,
             frames,
         })
+    }
+}
+
+/// An episode with `rows` rows in the table `path` and other numbers of images, each with its camera's folder.
+fn uneven<'a>(
+    path: &Path,
+    rows: usize,
+    images: impl Iterator<Item = (usize, &'a str)>,
+) -> ImportError {
+    let counts: Vec<String> = images
+        .map(|(count, folder)| format!("{count} {folder}"))
+        .collect();
+    ImportError::Mismatch {
+        place: path.display().to_string(),
+        name: "the episode".to_owned(),
+        found: format!("has {rows} rows and images: {}", counts.join(", ")),
+        expected: format!("as many of each, or up to {SURPLUS_MAX} more at the end"),
     }
 }
 

@@ -7,7 +7,7 @@ use super::super::ImportError;
 /// The numbers of a feature in one episode.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Numbers {
-    /// Their names; empty if nobody named them.
+    /// Their names; empty if they have none.
     pub(super) names: Vec<String>,
     /// How many a step has.
     pub(super) width: usize,
@@ -22,7 +22,7 @@ pub(super) enum Label {
     Plain,
     /// How to come out of a state that went wrong.
     Recovery,
-    /// What nobody should learn.
+    /// A failed attempt, which no policy should learn from.
     Failure,
 }
 

@@ -141,12 +141,8 @@ impl FoldedUNet {
         }
         x = through(&mut self.middle, x, modulations, workspace)?;
         for ((blocks, double), beside) in self.up.iter_mut().zip(on_the_way.iter().rev()) {
-            x = through(
-                blocks,
-                Tensor::f_cat(&[&x, beside], 1)?,
-                modulations,
-                workspace,
-            )?;
+            let joined = Tensor::f_cat(&[&x, beside], 1)?;
+            x = through(blocks, joined, modulations, workspace)?;
             x = double.apply(&x, workspace)?;
         }
         let (block, out) = &mut self.last;

@@ -56,6 +56,21 @@ impl Direct {
         })
     }
 
+    /// The size of what the convolution of pictures of size `before` gives.
+    fn size_after(&self, before: Size) -> Size {
+        let Steps { stride, padding } = self.steps;
+        let along = |length: usize| match (length + 2 * padding).checked_sub(self.side) {
+            Some(rest) => rest / stride + 1,
+            None => 0,
+        };
+        Size {
+            height: along(before.height),
+            width: along(before.width),
+            channels: self.bias.len(),
+            ..before
+        }
+    }
+
     /// The convolution of `x`, plus the residual input `beside`, then ReLU if it has one.
     pub(crate) fn apply(
         &self,
@@ -63,17 +78,7 @@ impl Direct {
         beside: Option<&Plane>,
         workspace: &mut Workspace,
     ) -> Result<Plane, TchError> {
-        let Steps { stride, padding } = self.steps;
-        let along = |length: usize| match (length + 2 * padding).checked_sub(self.side) {
-            Some(rest) => rest / stride + 1,
-            None => 0,
-        };
-        let size = Size {
-            height: along(x.size.height),
-            width: along(x.size.width),
-            channels: self.bias.len(),
-            ..x.size
-        };
+        let size = self.size_after(x.size);
         x.check_channels(self.inputs)?;
         let ending = Ending::new(&self.bias, beside, self.rectified, size)?;
         let mut out = workspace.plane(size);

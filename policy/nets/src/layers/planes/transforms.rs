@@ -6,7 +6,7 @@ use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 
 use pulp::Simd;
 
-use super::winograd::{INPUTS, OUTPUTS, Place, VALUES};
+use super::tile::{INPUTS, OUTPUTS, Place, VALUES};
 use super::{Ending, load, store};
 
 /// Squares of the points of the interpolation.

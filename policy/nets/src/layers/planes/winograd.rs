@@ -8,45 +8,18 @@
 
 use tch::{TchError, Tensor};
 
+use super::tile::{OUTPUTS, VALUES};
 use super::transforms::{Constants, from_tile, kernel_to_tile, to_tile};
 use super::{Ending, Plane, Size, Workspace, bias_of, shape_of};
 use crate::layers::aligned::Aligned;
 use crate::layers::kernel::{GROUP, InRegisters, PANEL, Summing, accumulate, share};
 use crate::layers::vectors::Vectors;
 
-/// Outputs along a side of a tile.
-pub(super) const OUTPUTS: usize = 4;
-
-/// Inputs along a side of a tile.
-pub(super) const INPUTS: usize = 6;
-
-/// Values that a tile has of each channel.
-pub(super) const VALUES: usize = INPUTS * INPUTS;
-
 /// Numbers between the tiles of one of the values and those of the next, so that they do not fall on the same cache lines.
 const GAP: usize = 16;
 
 /// Inputs that are summed on their own before they are added to the others', so that fewer bits are lost.
 const PART: usize = 128;
-
-impl Size {
-    const fn tiles(self) -> usize {
-        self.pictures * self.height.div_ceil(OUTPUTS) * self.width.div_ceil(OUTPUTS)
-    }
-
-    /// Where the tile `index` is.
-    const fn place(self, index: usize) -> Place {
-        let high = self.height.div_ceil(OUTPUTS);
-        let wide = self.width.div_ceil(OUTPUTS);
-        Place {
-            picture: index / (high * wide) * self.height * self.width,
-            top: index / wide % high * OUTPUTS,
-            left: index % wide * OUTPUTS,
-            height: self.height,
-            width: self.width,
-        }
-    }
-}
 
 /// A 3x3 convolution with stride 1 and zero padding, followed by ReLU, on the CPU.
 #[derive(Debug)]
@@ -219,17 +192,4 @@ fn product<V: Vectors, const ROWS: usize, const VECTORS: usize>(
 /// The number of tiles that are computed for `tiles`: whole groups.
 const fn whole_groups(tiles: usize) -> usize {
     tiles.next_multiple_of(GROUP)
-}
-
-/// Where a tile is.
-pub(super) struct Place {
-    /// Pixels before its picture.
-    pub(super) picture: usize,
-    /// Its first row of outputs.
-    pub(super) top: usize,
-    /// Its first column of outputs.
-    pub(super) left: usize,
-    /// Of the picture.
-    pub(super) height: usize,
-    pub(super) width: usize,
 }

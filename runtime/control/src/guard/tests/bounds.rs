@@ -2,9 +2,11 @@
 
 use super::{CLEARANCES, config, config_with, home, shapes};
 use crate::config::ControlConfig;
-use crate::guard::bounds::{Bounds, lowest};
+use crate::guard::bounds::Bounds;
 use crate::guard::clearance::Boundaries;
-use crate::guard::sweep::{INTERVALS, Sample, travel_m};
+use crate::guard::sample::Sample;
+use crate::guard::sweep::{INTERVALS, travel_m};
+use crate::guard::way::lowest;
 use crate::instrument::LINKS;
 use crate::motion::{AXES, JAW, MotionState};
 use crate::stop::Stop;
@@ -72,7 +74,8 @@ fn bounds_between_samples_hold_on_random_stops() {
         let instruments = (&before.instrument, &after.instrument);
         for index in 0..CLEARANCES {
             let h = (before.clearances[index], after.clearances[index]);
-            let low = boundaries.lowest_between(index, h, instruments, bounds, f64::INFINITY);
+            let low =
+                boundaries.lowest_between(index, h, instruments, &bounds.ways(), f64::INFINITY);
             for sample in within {
                 let here = sample.clearances[index];
                 assert!(
@@ -81,7 +84,7 @@ fn bounds_between_samples_hold_on_random_stops() {
                 );
             }
             if index >= 18 {
-                let by_way = f64::midpoint(h.0, h.1) - bounds.way((index - 18) % LINKS).half_m;
+                let by_way = f64::midpoint(h.0, h.1) - bounds.ways()[(index - 18) % LINKS].half_m;
                 by_bend += u32::from(low > by_way + 1e-6);
                 inside += u32::from(h.0 < 0.0);
             }
@@ -110,7 +113,7 @@ fn points_go_no_further_than_their_ways() {
         let ends = |sample: &Sample| sample.instrument.links().map(|(_, to_m)| to_m);
         for sample in within {
             for (link, here_m) in ends(sample).into_iter().enumerate() {
-                let way = bounds.way(link);
+                let way = bounds.ways()[link];
                 let (one, other) = (here_m - ends(before)[link], here_m - ends(after)[link]);
                 let nearest_m = one.norm().min(other.norm());
                 assert!(nearest_m <= way.half_m + 1e-12, "case {case} link {link}");

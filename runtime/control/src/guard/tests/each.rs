@@ -6,7 +6,7 @@ use super::{
 };
 use crate::config::BetweenArms;
 use crate::guard::clearance::FACES;
-use crate::guard::pair::KINDS;
+use crate::guard::gaps::KINDS;
 use crate::guard::planted::{Check, PlantedGuardFault};
 use crate::instrument::{LINKS, Stance};
 use crate::region::{Block, Shape};

@@ -3,7 +3,7 @@
 use super::{AXES, MotionState, Request, Rig, SplitMix64, bang, home, least, two_arms};
 use crate::config::ControlConfig;
 use crate::distance::distance_between_m;
-use crate::guard::pair::KINDS;
+use crate::guard::gaps::KINDS;
 use crate::guard::planted::PlantedGuardFault;
 use crate::instrument::{Instrument, Stance};
 use hal::psm::SHAFT_RADIUS_M;

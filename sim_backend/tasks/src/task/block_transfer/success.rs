@@ -117,7 +117,7 @@ impl SuccessMonitor {
         sight.grasps[0].both_touch && lowest >= self.board.peg_height_m + self.config.clear_m
     }
 
-    /// Whether the block sits on the goal peg and nobody touches it.
+    /// Whether the block sits on the goal peg and no instrument touches it.
     fn is_placed(&self, sight: &Sight, speed_m_s: f64) -> bool {
         let pose = &sight.thing_in_scene;
         let half = 0.5 * self.block.height_m;

@@ -20,7 +20,7 @@ const SPACING_M: f64 = 0.004;
 const WORK_M: f64 = 0.040;
 const LEVEL_M: f64 = -0.004;
 const RISE: f64 = 0.7;
-/// Faces whose normal's height is less look down, and nobody sees them.
+/// Faces whose normal's height is less look down and are hidden.
 const DOWN: f32 = -0.5;
 /// How far below the organ's surface they are where they would lie on it at work, m.
 const UNDER_M: f64 = 0.008;

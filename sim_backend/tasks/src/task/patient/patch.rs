@@ -36,9 +36,8 @@ impl Patch {
     pub(super) fn choose(mesh: &Mesh) -> Result<Self, String> {
         let extent_m = extent_m(mesh);
         if extent_m > ORGAN_M_MAX {
-            return Err(format!(
-                "it is {extent_m:.2} m long, of at most {ORGAN_M_MAX} m"
-            ));
+            let size = format!("it is {extent_m:.2} m long, of at most {ORGAN_M_MAX} m");
+            return Err(size);
         }
         let front: Vec<(Point3<f64>, Vector3<f64>)> = places(mesh)
             .filter(|(_, normal)| normal.y >= FRONT_MIN)
@@ -53,12 +52,8 @@ impl Patch {
                 best
             }
         });
-        best.ok_or_else(|| {
-            format!(
-                "no place on its front has {:.0} mm of surface around it and nothing beside that stands up",
-                1e3 * RADIUS_M
-            )
-        })
+        let radius_mm = 1e3 * RADIUS_M;
+        best.ok_or_else(|| format!("no place on its front has {radius_mm:.0} mm of surface around it and nothing beside that stands up"))
     }
 
     /// The place `at` with the outward `normal`; none if the organ does not reach all around.

@@ -1,5 +1,7 @@
 //! The upper side of a mesh as heights over a grid.
 
+use std::ops::Range;
+
 use hal::{Mesh, Pose};
 use nalgebra::{Point2, Point3};
 use trocar_world::tissue::Ground;
@@ -36,6 +38,19 @@ impl Relief {
         relief
     }
 
+    /// The lines of the lattice across `axis` that meet the triangle `flat`.
+    fn lines_over(&self, flat: &[Point2<f64>; 3], axis: usize) -> Range<usize> {
+        let of = |choose: fn(f64, f64) -> f64| flat.iter().map(|p| p[axis]).reduce(choose);
+        let index = |at: f64| (at - self.low_m[axis]) / self.spacing_m;
+        let low = index(of(f64::min).unwrap_or(0.0)).ceil().max(0.0);
+        let high = index(of(f64::max).unwrap_or(0.0)).floor();
+        if high < low {
+            0..0
+        } else {
+            whole(low)..(whole(high) + 1).min(self.points[axis])
+        }
+    }
+
     /// Takes in a face.
     fn raise(&mut self, face: [Point3<f64>; 3]) {
         let flat = face.map(|p| p.xy());
@@ -43,17 +58,7 @@ impl Relief {
         if area < AREA_MIN {
             return;
         }
-        let [columns, rows] = [0, 1].map(|axis| {
-            let of = |choose: fn(f64, f64) -> f64| flat.iter().map(|p| p[axis]).reduce(choose);
-            let index = |at: f64| (at - self.low_m[axis]) / self.spacing_m;
-            let low = index(of(f64::min).unwrap_or(0.0)).ceil().max(0.0);
-            let high = index(of(f64::max).unwrap_or(0.0)).floor();
-            if high < low {
-                0..0
-            } else {
-                whole(low)..(whole(high) + 1).min(self.points[axis])
-            }
-        });
+        let [columns, rows] = [0, 1].map(|axis| self.lines_over(&flat, axis));
         for row in rows {
             for column in columns.clone() {
                 let at = self.place(column, row);
@@ -99,16 +104,8 @@ impl Relief {
         let step_m = SLOPE_MAX * self.spacing_m;
         let [columns, rows] = self.points;
         let steep = |index: usize| {
-            let (column, row) = (index % columns, index / columns);
             let here = self.heights_m[index];
-            let beside = [
-                (column > 0).then(|| index - 1),
-                (column + 1 < columns).then_some(index + 1),
-                (row > 0).then(|| index - columns),
-                (row + 1 < rows).then_some(index + columns),
-            ];
-            let steps = beside.into_iter().flatten();
-            steps
+            neighbours(index, [columns, rows])
                 .map(|other| self.heights_m[other] - here)
                 .any(|rise_m| rise_m.abs() > step_m)
         };
@@ -121,6 +118,18 @@ impl Relief {
         });
         Ground::table(self.low_m, self.spacing_m, self.points, heights_m.collect())
     }
+}
+
+/// The points beside, above and below the point `index` of a lattice.
+fn neighbours(index: usize, [columns, rows]: [usize; 2]) -> impl Iterator<Item = usize> {
+    let (column, row) = (index % columns, index / columns);
+    let beside = [
+        (column > 0).then(|| index - 1),
+        (column + 1 < columns).then_some(index + 1),
+        (row > 0).then(|| index - columns),
+        (row + 1 < rows).then_some(index + columns),
+    ];
+    beside.into_iter().flatten()
 }
 
 /// Twice the area of a triangle, positive if it is counter-clockwise.

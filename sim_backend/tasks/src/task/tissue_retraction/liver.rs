@@ -87,15 +87,7 @@ impl LiverShape {
                 mesh.normals.push(single(&normal));
             }
         }
-        let [columns, rows] = [xs.len(), ys.len()].map(count_u32);
-        for row in 1..rows {
-            for column in 1..columns {
-                let there = row * columns + column;
-                let here = there - columns - 1;
-                mesh.indices
-                    .extend([here, here + 1, there, here, there, there - 1]);
-            }
-        }
+        mesh.indices = triangles([xs.len(), ys.len()].map(count_u32));
         mesh
     }
 
@@ -105,6 +97,19 @@ impl LiverShape {
         let pose = Pose::translation(0.0, 0.0, FLOOR_M - half_m.z);
         placed(cuboid(half_m), &pose)
     }
+}
+
+/// Two triangles for each cell of a lattice of vertices, row by row.
+fn triangles([columns, rows]: [u32; 2]) -> Vec<u32> {
+    let mut indices = Vec::new();
+    for row in 1..rows {
+        for column in 1..columns {
+            let there = row * columns + column;
+            let here = there - columns - 1;
+            indices.extend([here, here + 1, there, here, there, there - 1]);
+        }
+    }
+    indices
 }
 
 /// Places of the grid's lines along one axis: over the slope, the rim, the plateau, and down again.

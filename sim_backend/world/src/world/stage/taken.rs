@@ -1,8 +1,9 @@
 //! What a step's contacts did: what instruments and things felt, and what the fingers remember.
 
+use hal::TICK_S;
 use nalgebra::{Point3, Vector3};
 
-use super::{PARTS, STEP_S, Stage};
+use super::{PARTS, Stage};
 use crate::world::arm::ArmUnit;
 use crate::world::contact::{Contact, Side};
 
@@ -55,7 +56,7 @@ impl Stage {
         }
         for row in &self.rows {
             let contact = &self.contacts[row.contact];
-            let force_n = row.impulse / STEP_S;
+            let force_n = row.impulse / TICK_S;
             match contact.sides {
                 [Side::Part { arm, part }, Side::Thing(thing)] => {
                     let touch = &mut self.instruments[arm].touches[thing][part];
@@ -89,7 +90,7 @@ impl Stage {
                 matches!(contact.sides, [Side::Part { .. }, Side::Thing(of)] if of == index)
             });
             if !thing.moving.is_asleep() {
-                thing.moving.rest(is_near, STEP_S);
+                thing.moving.rest(is_near, TICK_S);
             }
         }
     }

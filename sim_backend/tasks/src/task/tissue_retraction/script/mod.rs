@@ -77,11 +77,8 @@ impl Part for Retractor {
                 let inward = from.tip_in_scene.rotation * Vector3::z();
                 let way = Vector3::z() + Vector3::new(inward.x, inward.y, 0.0) * style.lean;
                 let lift = Translation3::from(way * style.lift_height_m.max(hand.part.lift_m_min));
-                (
-                    from.with_tip(lift * from.tip_in_scene),
-                    straight,
-                    style.lift,
-                )
+                let lifted = from.with_tip(lift * from.tip_in_scene);
+                (lifted, straight, style.lift)
             }
             Phase::Hold => return Motion::rest(from, now, 0.0),
             Phase::Open => (jaw(style.open_rad), straight, style.close),

@@ -6,11 +6,11 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use tch::Device;
 
-use super::error::{Cause, CheckpointError};
-use super::tensors::{self, Plain, Precision};
+use super::{SegmenterSettings, UNet, UNetConfig};
+use crate::checkpoint::tensors::{self, Plain};
+use crate::checkpoint::{Cause, CheckpointError, Precision};
 use crate::dimension::dimension;
 use crate::parameters::ParameterSource;
-use crate::segmenter::{SegmenterSettings, UNet, UNetConfig};
 
 /// The key of the settings in the file's description.
 const KEY: &str = "trocar_segmenter";

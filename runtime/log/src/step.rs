@@ -1,0 +1,38 @@
+//! What reading a log gives: step by step a tick with all that belongs to it, then what is known at the end.
+
+use hal::{Chunk, PerArm};
+
+use super::header::RunOutcome;
+use super::record::LoggedTick;
+
+/// One tick of a log with all that belongs to it.
+#[derive(Clone, Copy, Debug)]
+pub struct Step<'a> {
+    /// What the controller was given and answered.
+    pub tick: &'a LoggedTick,
+    /// The chunk that each arm was given.
+    pub chunks: PerArm<Option<&'a Chunk>>,
+    /// Each arm's safety report, the JSON of its message.
+    pub reports: PerArm<Option<&'a [u8]>>,
+    /// Ticks just before it that the logger dropped.
+    pub dropped_before: u64,
+    /// Whether the logger dropped a chunk that it was given.
+    pub chunk_dropped: bool,
+}
+
+/// What is known at the end of a log.
+#[derive(Clone, Debug, Default)]
+pub struct LogEnd {
+    /// How the run ended; `None` if the log was not closed properly.
+    pub outcome: Option<RunOutcome>,
+    /// Hash over everything that the controller was given, taken while it ran; `None` if the file was cut.
+    pub input_hash: Option<u64>,
+    /// Ticks that the logger dropped after the last one that it wrote.
+    pub dropped_at_end: u64,
+    /// Why the file ends before its end, if it does.
+    pub cut: Option<String>,
+    /// Whether that is its own bound alone: all that the bound kept is there.
+    pub bounded: bool,
+    /// Whether the log is not what the run wrote: something was changed, put in or taken away.
+    pub altered: bool,
+}
