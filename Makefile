@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo dist test-dist test check test-units test-beside test-adversary test-golden test-can test-python test-study test-console test-anatomy test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
+.PHONY: demo dist test-dist test check test-units test-beside test-adversary test-golden test-can test-python test-study test-console test-anatomy test-anatomy-short test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 DEBUG_TROCAR := $(or $(CARGO_TARGET_DIR),target)/debug/trocar
@@ -24,6 +24,7 @@ test: setup
 	$(MAKE) -j2 --output-sync=target test-can test-beside
 	TROCAR_SLOW_MOTION=2 cargo test --locked --workspace --test '*'
 	$(MAKE) test-python
+	$(MAKE) test-anatomy-short
 	$(MAKE) test-study
 	$(MAKE) test-console
 
@@ -64,8 +65,13 @@ test-console: setup setup-browser
 	cargo build --locked -p trocar
 	cargo test --locked --workspace --test console -- --ignored --test-threads=1
 
-# Patients of scans: the crate's tests, and what nibabel, SimpleITK, trimesh, usd-core and the Khronos glTF validator say of its files. Not
-# part of `make test`, which has the crate's own tests.
+# Patients of scans: what nibabel, SimpleITK, trimesh, usd-core and the Khronos glTF validator say of a small phantom's meshes.
+test-anatomy-short: setup
+	@.ci/setup-anatomy.sh
+	cargo build --locked -p trocar
+	TROCAR=$(abspath $(DEBUG_TROCAR)) target/anatomy/bin/python -B tests/scripts/anatomy.py --short target/scratch/anatomy-short
+
+# The same of a larger one, and foreign stages, a DICOM series, label volumes of others; the crate's tests. Not part of `make test`.
 test-anatomy: setup
 	@.ci/setup-anatomy.sh
 	cargo test --locked -p trocar-anatomy

@@ -37,7 +37,15 @@ fn phantom_becomes_a_patient_with_a_report() {
     done(&[
         "phantom", "--seed", "3", "--size", "72x72x86", "--out", &out,
     ]);
-    let options = ["--max-error-mm", "1", "--json", &result];
+    let options = [
+        "--max-error-mm",
+        "1",
+        "--json",
+        &result,
+        "--measure-stages",
+        "--tetrahedra",
+        "12",
+    ];
     done(&[&["build", &labels, "--out", &out], &options[..]].concat());
     let told = json(&folder.join("out/result.json"));
     let groups = told["groups"].as_array().unwrap();
@@ -49,6 +57,13 @@ fn phantom_becomes_a_patient_with_a_report() {
             "{group}"
         );
     }
+    assert_eq!(told["stage_distances"].as_array().unwrap().len(), 3 * 17);
+    let tetrahedra = &told["tetrahedra"][0];
+    assert_eq!(tetrahedra["group"], "liver");
+    assert!(
+        (tetrahedra["volume_ratio"].as_f64().unwrap() - 1.0).abs() < 0.01,
+        "{tetrahedra}"
+    );
     let stages = told["stages"].as_array().unwrap();
     assert_eq!(stages.len(), 8);
     assert!(
@@ -56,7 +71,14 @@ fn phantom_becomes_a_patient_with_a_report() {
             .iter()
             .all(|stage| stage["peak_mib"].as_f64().unwrap() > 1.0)
     );
-    assert_eq!(&fs::read(folder.join("patient.glb")).unwrap()[..4], b"glTF");
+    for (name, start) in [
+        ("patient.glb", "glTF"),
+        ("patient.usdz", "PK"),
+        ("tetrahedra.usda", "#usda 1.0"),
+    ] {
+        let bytes = fs::read(folder.join(name)).unwrap();
+        assert!(bytes.starts_with(start.as_bytes()), "{name}");
+    }
     assert!(
         fs::read_to_string(folder.join("patient.usda"))
             .unwrap()
@@ -318,6 +340,11 @@ fn settings_of_models_are_checked() {
         fs::write(&settings, good.replace(from, to)).unwrap();
         not_segmented(&folder, &scan, &script(), &options, message);
     }
+    // Those for Auto3DSeg's networks are good ones, of 18 classes.
+    let shipped = tests::repository().join("config/anatomy/models/auto3dseg.toml");
+    let shipped = ["--settings", &shipped.display().to_string()];
+    let message = "the model answers a window with [1, 5, 96, 96, 96]";
+    not_segmented(&folder, &scan, &script(), &shipped, message);
     fs::write(&settings, good).unwrap();
     let out = path("out.nii.gz");
     let words = ["segment", &scan, "--model", &script(), "--out", &out];

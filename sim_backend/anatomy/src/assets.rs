@@ -1,4 +1,4 @@
-//! A patient as files that other programs open: glTF (`.glb`) and OpenUSD (`.usda`).
+//! A patient as files that other programs open: glTF (`.glb`) and OpenUSD (`.usda`, `.usdz`).
 //!
 //! Coordinates are the scan's world, right-anterior-superior, in metres. OpenUSD has z upwards, as the scan; glTF's y upwards and z
 //! forward come from a rotation at the root, and its meshes keep the scan's coordinates.
@@ -7,7 +7,9 @@ mod foreign;
 mod glb;
 mod gltf;
 mod read;
+mod tetra;
 mod usda;
+mod usdz;
 
 #[cfg(test)]
 mod tests;
@@ -19,7 +21,9 @@ use crate::number::single;
 pub use glb::glb;
 pub use gltf::Numbers;
 pub use read::{Part, PatientError, file_of, read};
+pub use tetra::tetrahedra_usda;
 pub use usda::usda;
+pub use usdz::usdz;
 
 /// The patient's glTF file in its folder.
 pub const GLB_FILE: &str = "patient.glb";

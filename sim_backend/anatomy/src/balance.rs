@@ -4,7 +4,7 @@
 //! volume, to first order, these change the surfaces least; the potentials solve a Laplace equation on the graph of groups, weighted by
 //! the areas of their common surfaces.
 
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
 use crate::surface::complex::Complex;
 
@@ -46,10 +46,16 @@ fn potentials(complex: &Complex, wanted: &[f64]) -> Option<DVector<f64>> {
     laplace.lu().solve(&right)
 }
 
-/// Moves vertices so that each group has its volume of `targets` (mm³ by group number), none by more than `most_mm`.
+/// Moves vertices so that each group has its volume of `targets` (mm³ by group number), none by more than `most_mm`, and each to where
+/// `hold` lets it: of a vertex and the place it would go to that gives the place where it goes.
 ///
-/// Later rounds take what the first left by curvature.
-pub(crate) fn balance(complex: &mut Complex, targets: &[f64], most_mm: f64) {
+/// Later rounds take what the first left by curvature and by what was held.
+pub(crate) fn balance(
+    complex: &mut Complex,
+    targets: &[f64],
+    most_mm: f64,
+    hold: impl Fn(usize, Point3<f64>) -> Point3<f64>,
+) {
     for _ in 0..ROUNDS {
         let volumes = complex.volumes();
         let wanted: Vec<f64> = targets
@@ -70,9 +76,10 @@ pub(crate) fn balance(complex: &mut Complex, targets: &[f64], most_mm: f64) {
                 entry.1 += normal.norm();
             }
         }
-        for (position, (sum, weight)) in complex.positions.iter_mut().zip(moves) {
+        for (v, (sum, weight)) in moves.into_iter().enumerate() {
             if weight > 0.0 {
-                *position += (sum / weight).cap_magnitude(most_mm / f64::from(ROUNDS));
+                let by = (sum / weight).cap_magnitude(most_mm / f64::from(ROUNDS));
+                complex.positions[v] = hold(v, complex.positions[v] + by);
             }
         }
     }

@@ -1,26 +1,32 @@
 //! The pipeline from a label volume to a patient of meshes.
 
+mod report;
+mod surfaces;
+
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::assets::{Asset, FRAME, GLB_FILE, glb, usda};
+use crate::assets::{Asset, FRAME, GLB_FILE, glb, tetrahedra_usda, usda, usdz};
 use crate::atlas::unwrap;
-use crate::balance::balance;
 use crate::clean::{Cleaned, remove_islands, separate_touching};
 use crate::decimate::decimate;
 use crate::groups::Groups;
-use crate::measure::{Measures, measure};
+use crate::measure::measure;
 use crate::mesh::GroupMesh;
-use crate::nifti::{LabelVolume, NiftiError, read_labels};
+use crate::nifti::{LabelVolume, read_labels};
 use crate::number::floor_to;
-use crate::smooth::{Neighbours, smooth};
+use crate::surface::Method;
 use crate::surface::complex::Complex;
-use crate::surface::{Method, cubes, nets};
+use crate::tetra::Tetrahedra;
 use crate::volume::Padded;
+
+use surfaces::{settle, stage_distances, surfaces};
+
+pub use report::{BuildError, GroupReport, Report, Stage, StageDistance, TetrahedraReport};
 
 /// Share of the error that decimation may take; the last correction of volumes may take the rest.
 const DECIMATION_SHARE: f64 = 0.8;
@@ -36,6 +42,10 @@ pub struct Options {
     pub min_island_mm3: f64,
     /// Pairs of smoothing steps.
     pub smoothing: usize,
+    /// Whether distances are measured after each stage that moves surfaces, rather than of the result alone.
+    pub measure_stages: bool,
+    /// Side of the cells of the lattice of tetrahedra, mm; none if there are to be none.
+    pub tetrahedra_mm: Option<f64>,
 }
 
 impl Default for Options {
@@ -45,143 +55,8 @@ impl Default for Options {
             surface: Method::Nets,
             min_island_mm3: 30.0,
             smoothing: 20,
-        }
-    }
-}
-
-/// What the pipeline does, in order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Stage {
-    /// The volume is read, and labels become groups.
-    Read,
-    /// Islands, holes, touching voxels.
-    Repair,
-    /// Faces between groups.
-    Surface,
-    /// Smoothing, and volumes put right.
-    Smooth,
-    /// Decimation, and volumes put right.
-    Decimate,
-    /// A mesh a group, texture coordinates, normals.
-    Meshes,
-    /// Distances, volumes, overlap with the voxels.
-    Measure,
-    /// glTF and OpenUSD.
-    Write,
-}
-
-impl Stage {
-    /// All stages.
-    pub const ALL: [Self; 8] = [
-        Self::Read,
-        Self::Repair,
-        Self::Surface,
-        Self::Smooth,
-        Self::Decimate,
-        Self::Meshes,
-        Self::Measure,
-        Self::Write,
-    ];
-
-    /// Its name.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Read => "read",
-            Self::Repair => "repair",
-            Self::Surface => "surface",
-            Self::Smooth => "smooth",
-            Self::Decimate => "decimate",
-            Self::Meshes => "meshes",
-            Self::Measure => "measure",
-            Self::Write => "write",
-        }
-    }
-}
-
-/// A group of the result.
-#[derive(Clone, Debug, Serialize)]
-pub struct GroupReport {
-    /// Its name.
-    pub name: String,
-    /// Its voxels in the file.
-    pub voxels_read: u64,
-    /// Its voxels after repairs.
-    pub voxels: u64,
-    /// Vertices of its mesh.
-    pub vertices: usize,
-    /// Triangles of its mesh.
-    pub triangles: usize,
-    /// Its mass, kg.
-    pub mass_kg: f64,
-    /// Share of the texture square that its charts cover.
-    pub atlas_used: f64,
-    /// How well its mesh stands for its voxels.
-    #[serde(flatten)]
-    pub measures: Measures,
-}
-
-/// What was made, and how well.
-#[derive(Clone, Debug, Serialize)]
-pub struct Report {
-    /// The volume's file.
-    pub source: PathBuf,
-    /// The table of labels.
-    pub table: String,
-    /// Voxels along the axes of the file.
-    pub size: [usize; 3],
-    /// Voxel size, mm.
-    pub spacing_mm: [f64; 3],
-    /// Where the file's axes lead.
-    pub orientation: String,
-    /// The frame and unit of the assets.
-    pub frame: &'static str,
-    /// How it was made.
-    pub options: Options,
-    /// What was repaired.
-    pub repaired: Cleaned,
-    /// Triangles between groups before decimation.
-    pub triangles_fine: usize,
-    /// And after it; one between two groups counts once.
-    pub triangles: usize,
-    /// The groups that are there.
-    pub groups: Vec<GroupReport>,
-}
-
-/// What can go wrong.
-#[derive(Debug, thiserror::Error)]
-pub enum BuildError {
-    /// The volume is refused.
-    #[error(transparent)]
-    Volume(#[from] NiftiError),
-    /// The volume has background only.
-    #[error("{path}: no voxel belongs to a group of {table}")]
-    Empty {
-        /// The volume.
-        path: PathBuf,
-        /// The table of labels.
-        table: String,
-    },
-    /// An asset can't be written.
-    #[error("{path}: cannot be written")]
-    Unwritable {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's reason.
-        #[source]
-        source: io::Error,
-    },
-}
-
-impl BuildError {
-    /// Whether the volume is at fault, rather than the work itself.
-    #[must_use]
-    pub const fn is_bad_input(&self) -> bool {
-        match self {
-            Self::Volume(error) => !matches!(error, NiftiError::Unwritable { .. }),
-            Self::Empty { .. } => true,
-            Self::Unwritable { .. } => false,
+            measure_stages: false,
+            tetrahedra_mm: None,
         }
     }
 }
@@ -191,8 +66,29 @@ impl BuildError {
 pub struct Patient {
     /// A mesh a group that is there.
     pub meshes: Vec<GroupMesh>,
+    /// Tetrahedra of the groups that have any, if they were asked for.
+    pub tetrahedra: Vec<Tetrahedra>,
     /// What was made.
     pub report: Report,
+}
+
+impl Patient {
+    /// Makes tetrahedra of all groups that are not too thin for them.
+    fn fill(&mut self, groups: &Groups, side_mm: f64) {
+        let meshes = self.meshes.par_iter();
+        let filled: Vec<_> = meshes
+            .map(|mesh| (mesh, Tetrahedra::fill(mesh, side_mm)))
+            .collect();
+        for (mesh, filled) in filled {
+            let group = groups.groups[mesh.group].name.clone();
+            let report = match &filled {
+                Ok(filled) => TetrahedraReport::of(group, filled, mesh),
+                Err(reason) => TetrahedraReport::none(group, reason),
+            };
+            self.report.tetrahedra.push(report);
+            self.tetrahedra.extend(filled);
+        }
+    }
 }
 
 /// Volumes by group number, mm³.
@@ -209,35 +105,6 @@ fn repair(volume: &mut Padded, groups: &Groups, options: &Options) -> (Cleaned, 
     let targets = targets(volume);
     cleaned.touching_voxels = separate_touching(volume, &groups.ranks());
     (cleaned, targets)
-}
-
-/// The surfaces between groups, smooth, with the volumes of their voxels.
-fn surfaces(
-    volume: &Padded,
-    targets: &[f64],
-    options: &Options,
-    watch: &mut dyn FnMut(Stage),
-) -> Complex {
-    let grid = &volume.grid;
-    let mut complex = match options.surface {
-        Method::Nets => {
-            let mut net = nets::extract(volume);
-            watch(Stage::Smooth);
-            let neighbours = Neighbours::of_net(&net);
-            smooth(&mut net.positions, &neighbours, options.smoothing);
-            Complex::of_net(net, grid)
-        }
-        Method::MarchingCubes => {
-            let mut complex = cubes::extract(volume);
-            watch(Stage::Smooth);
-            let neighbours = Neighbours::of_triangles(&complex.triangles, complex.positions.len());
-            smooth(&mut complex.positions, &neighbours, options.smoothing);
-            complex.placed(grid)
-        }
-    };
-    let half_voxel = 0.5 * grid.spacing().into_iter().fold(f64::INFINITY, f64::min);
-    balance(&mut complex, targets, half_voxel);
-    complex
 }
 
 /// A mesh a group with the share of its texture square that is used.
@@ -288,15 +155,23 @@ fn build_volume(
     watch(Stage::Repair);
     let (repaired, targets) = repair(&mut volume, groups, options);
     watch(Stage::Surface);
-    let fine = surfaces(&volume, &targets, options, watch);
+    let mut by_stage = Vec::new();
+    let mut look = |stage: Stage, complex: &dyn Fn() -> Complex| {
+        if options.measure_stages {
+            let found = stage_distances(stage, &complex(), &volume, groups, &targets);
+            by_stage.extend(found);
+        }
+    };
+    let fine = surfaces(&volume, &targets, options, watch, &mut |complex| {
+        look(Stage::Surface, complex);
+    });
+    look(Stage::Smooth, &|| fine.clone());
     let triangles_fine = fine.triangles.len();
     watch(Stage::Decimate);
     let mut complex = decimate(fine, DECIMATION_SHARE * options.max_error_mm);
-    balance(
-        &mut complex,
-        &targets,
-        (1.0 - DECIMATION_SHARE) * options.max_error_mm,
-    );
+    let rest_mm = (1.0 - DECIMATION_SHARE) * options.max_error_mm;
+    settle(&mut complex, &targets, rest_mm);
+    look(Stage::Decimate, &|| complex.clone());
     watch(Stage::Meshes);
     let meshes = meshes(&complex, groups);
     watch(Stage::Measure);
@@ -326,14 +201,22 @@ fn build_volume(
         triangles_fine,
         triangles: complex.triangles.len(),
         groups: meshes.par_iter().filter_map(report_on).collect(),
+        stage_distances: by_stage,
+        tetrahedra: Vec::new(),
     };
-    Patient {
+    let mut patient = Patient {
         meshes: meshes.into_iter().map(|(mesh, _)| mesh).collect(),
+        tetrahedra: Vec::new(),
         report,
+    };
+    if let Some(side_mm) = options.tetrahedra_mm {
+        patient.fill(groups, side_mm);
     }
+    patient
 }
 
-/// Writes `patient.glb`, `patient.usda` and `patient.json` (the report) into `folder`, which is made.
+/// Writes `patient.glb`, `patient.usda`, the same in `patient.usdz`, `patient.json` (the report) and, if there are any, `tetrahedra.usda`
+/// into `folder`, which is made.
 ///
 /// # Errors
 /// [`BuildError::Unwritable`].
@@ -354,11 +237,16 @@ pub fn write(patient: &Patient, groups: &Groups, folder: &Path) -> Result<(), Bu
     let (binary, text) = rayon::join(|| glb(&assets), || usda(&assets));
     let report = serde_json::to_string_pretty(&patient.report).map_err(io::Error::other);
     let report = report.map_err(unwritable(&folder.join("patient.json")))?;
-    let files = [
+    let mut files = vec![
         (GLB_FILE, binary),
+        ("patient.usdz", usdz("patient.usda", text.as_bytes())),
         ("patient.usda", text.into_bytes()),
         ("patient.json", report.into_bytes()),
     ];
+    if !patient.tetrahedra.is_empty() {
+        let text = tetrahedra_usda(groups, &patient.tetrahedra);
+        files.push(("tetrahedra.usda", text.into_bytes()));
+    }
     for (name, bytes) in files {
         let path = folder.join(name);
         fs::write(&path, bytes).map_err(unwritable(&path))?;

@@ -3,8 +3,9 @@
 //! Each group's surface stays a closed manifold: an edge collapses only if the link condition holds on the surface of every group at it.
 //! Lines where three groups meet collapse along themselves, points where more meet stay. The error is bounded, not estimated: every
 //! vertex of the fine surface is kept as a sample of the triangle nearest to it, and no collapse takes a sample farther than the bound
-//! from triangles between the same two groups.
+//! from triangles between the same two groups. And no collapse lets a triangle cross another of its part.
 
+mod cells;
 mod collapse;
 mod quadric;
 mod state;
@@ -17,6 +18,7 @@ use rayon::prelude::*;
 use crate::number::{floor_to, index, real};
 use crate::surface::complex::Complex;
 
+pub(crate) use cells::crossing_vertices;
 use state::State;
 
 /// Triangles of a part that is decimated by itself.

@@ -45,12 +45,84 @@ pub(crate) fn distance_squared(p: &Point3<f64>, triangle: &[Point3<f64>; 3]) -> 
     (p - nearest_on_triangle(p, triangle)).norm_squared()
 }
 
+/// Six times the signed volume of the tetrahedron of four points.
+fn volume(a: &Point3<f64>, b: &Point3<f64>, c: &Point3<f64>, d: &Point3<f64>) -> f64 {
+    (b - a).cross(&(c - a)).dot(&(d - a))
+}
+
+/// Whether an edge of the triangle `first` runs through the inside of `second`. Edges that end at a vertex of `second`, by their
+/// numbers, do not.
+fn pierces(
+    (numbers, first): (&[u32; 3], &[Point3<f64>; 3]),
+    (others, second): (&[u32; 3], &[Point3<f64>; 3]),
+) -> bool {
+    let [a, b, c] = second;
+    let heights = first.each_ref().map(|p| volume(a, b, c, p));
+    (0..3).map(|k| (k, (k + 1) % 3)).any(|(from, to)| {
+        if heights[from] * heights[to] >= 0.0
+            || others.contains(&numbers[from])
+            || others.contains(&numbers[to])
+        {
+            return false;
+        }
+        let (p, q) = (&first[from], &first[to]);
+        let turns = [(a, b), (b, c), (c, a)].map(|(x, y)| volume(p, q, x, y));
+        turns.iter().all(|turn| *turn > 0.0) || turns.iter().all(|turn| *turn < 0.0)
+    })
+}
+
+/// Whether two triangles cross; what touches, or has an edge in common, does not.
+pub(crate) fn cross(
+    first: (&[u32; 3], &[Point3<f64>; 3]),
+    second: (&[u32; 3], &[Point3<f64>; 3]),
+) -> bool {
+    let apart = |k: usize| {
+        let of = |triangle: &[Point3<f64>; 3]| {
+            let [a, b, c] = triangle.each_ref().map(|p| p[k]);
+            (a.min(b).min(c), a.max(b).max(c))
+        };
+        let ((low, high), (least, most)) = (of(first.1), of(second.1));
+        high < least || most < low
+    };
+    !(0..3).any(apart) && (pierces(first, second) || pierces(second, first))
+}
+
 #[cfg(test)]
 mod tests {
     use hal::random::SplitMix64;
     use nalgebra::Point3;
 
-    use super::nearest_on_triangle;
+    use super::{cross, nearest_on_triangle};
+
+    #[test]
+    fn triangles_cross_where_an_edge_runs_through_one() {
+        let point = |x: f64, y: f64, z: f64| Point3::new(x, y, z);
+        let flat = [
+            point(0.0, 0.0, 0.0),
+            point(4.0, 0.0, 0.0),
+            point(0.0, 4.0, 0.0),
+        ];
+        let upright =
+            |x: f64, y: f64| [point(x, y, -1.0), point(x, y, 1.0), point(x + 9.0, y, 1.0)];
+        let crosses = |ids: [u32; 3], other: &[Point3<f64>; 3]| {
+            let one = cross((&[0, 1, 2], &flat), (&ids, other));
+            assert_eq!(one, cross((&ids, other), (&[0, 1, 2], &flat)));
+            one
+        };
+        assert!(crosses([3, 4, 5], &upright(1.0, 1.0)));
+        assert!(!crosses([3, 4, 5], &upright(5.0, 1.0)));
+        assert!(!crosses([3, 4, 5], &flat.map(|p| point(p.x, p.y, 0.5))));
+        // With one vertex in common, beside it and through it.
+        let [a, ..] = flat;
+        assert!(!crosses(
+            [0, 4, 5],
+            &[a, point(1.0, 1.0, 1.0), point(1.0, 1.0, 2.0)]
+        ));
+        assert!(crosses(
+            [0, 4, 5],
+            &[a, point(1.0, 1.0, 1.0), point(1.0, 1.0, -1.0)]
+        ));
+    }
 
     /// Against a dense search over the triangle.
     #[test]

@@ -43,6 +43,14 @@ pub struct Group {
     pub wetness: f64,
     /// Mean density, kg/m³.
     pub density_kg_m3: f64,
+    /// Young's modulus at small strain, Pa.
+    pub youngs_modulus_pa: f64,
+    /// Poisson's ratio.
+    pub poissons_ratio: f64,
+    /// Viscosity over stiffness, s.
+    pub damping_s: f64,
+    /// How far red light comes before it falls to 1/e, mm; 0 where none is to shine through.
+    pub light_mm: f64,
     /// Of two groups that contend for a voxel, the one with the lower rank gets it.
     pub rank: u32,
 }
@@ -87,12 +95,15 @@ fn paper_groups() -> Result<Vec<Group>, ConfigError> {
         {
             source.check_range(&format!("groups.{i}"), value, 0.0, 1.0)?;
         }
-        source.check_range(
-            &format!("groups.{i}.density_kg_m3"),
-            group.density_kg_m3,
-            1.0,
-            2e4,
-        )?;
+        for (key, value, low, high) in [
+            ("density_kg_m3", group.density_kg_m3, 1.0, 2e4),
+            ("youngs_modulus_pa", group.youngs_modulus_pa, 1.0, 1e12),
+            ("poissons_ratio", group.poissons_ratio, 0.0, 0.499),
+            ("damping_s", group.damping_s, 0.0, 10.0),
+            ("light_mm", group.light_mm, 0.0, 100.0),
+        ] {
+            source.check_range(&format!("groups.{i}.{key}"), value, low, high)?;
+        }
     }
     let count = groups.len().to_string();
     if groups.len() > GROUPS_MAX {

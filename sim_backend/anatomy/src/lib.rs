@@ -19,4 +19,5 @@ pub mod overlap;
 pub mod phantom;
 mod smooth;
 pub mod surface;
+pub mod tetra;
 pub mod volume;

@@ -1,7 +1,7 @@
 //! How well a mesh stands for its voxels.
 
 mod boundary;
-mod nearest;
+pub(crate) mod nearest;
 mod voxelise;
 
 #[cfg(test)]
@@ -120,21 +120,23 @@ pub fn measure(mesh: &GroupMesh, volume: &Padded, voxels_mm3: f64) -> Option<Mea
 }
 
 /// Whether the middle of each voxel of `grid` lies in `mesh`, the first axis fastest.
-#[cfg(test)]
 pub(crate) fn inside(mesh: &GroupMesh, grid: &Grid) -> Vec<bool> {
-    let positions = in_voxels(mesh, grid).expect("the lattice is not flat");
+    let Some(positions) = in_voxels(mesh, grid) else {
+        return vec![false; grid.len()];
+    };
     let dims = grid.dims.map(|side| side + 2);
     let rows = voxelise::crossings(&positions, &mesh.triangles, dims);
     let mut inside = Vec::with_capacity(grid.len());
     for z in 1..=grid.dims[2] {
         for y in 1..=grid.dims[1] {
             let row = &rows[y + dims[1] * z];
-            let before = |x: usize| {
-                row.iter()
-                    .filter(|crossing| f64::from(**crossing) < real(x))
-                    .count()
-            };
-            inside.extend((1..=grid.dims[0]).map(|x| before(x) % 2 == 1));
+            let mut passed = 0;
+            inside.extend((1..=grid.dims[0]).map(|x| {
+                while passed < row.len() && f64::from(row[passed]) < real(x) {
+                    passed += 1;
+                }
+                passed % 2 == 1
+            }));
         }
     }
     inside

@@ -126,7 +126,17 @@ fn moved(
         return *here;
     }
     let sum: Vector3<f64> = neighbours.iter().map(|v| all[*v as usize].coords).sum();
-    let target = here + (sum / real(neighbours.len()) - here.coords) * step;
+    within_reach(
+        begin,
+        here + (sum / real(neighbours.len()) - here.coords) * step,
+    )
+}
+
+/// The place nearest to `target` that a vertex may have which began at `begin`, in voxel coordinates.
+///
+/// Where each stays in the cell of its own corner, triangles without a common vertex can't cross: each lies in the block of the cells
+/// of its quad, and blocks that have a cell in common have its vertex in common.
+pub(crate) fn within_reach(begin: &Point3<f64>, target: Point3<f64>) -> Point3<f64> {
     begin + (target - begin).map(|x| x.clamp(-REACH, REACH))
 }
 

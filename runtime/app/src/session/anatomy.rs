@@ -88,7 +88,13 @@ pub fn build(
     let groups = Groups::load(table)?;
     check_outputs(
         out,
-        &["patient.glb", "patient.usda", "patient.json"],
+        &[
+            "patient.glb",
+            "patient.usda",
+            "patient.usdz",
+            "patient.json",
+            "tetrahedra.usda",
+        ],
         Some(source),
     )?;
     let mut stopwatch = Stopwatch {

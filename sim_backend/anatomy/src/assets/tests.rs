@@ -3,8 +3,9 @@
 use nalgebra::Point3;
 use serde_json::Value;
 
+use super::foreign::of_usd;
 use super::read::parts;
-use super::{Asset, Part, glb, usda};
+use super::{Asset, Part, glb, usda, usdz};
 use crate::atlas::unwrap;
 use crate::groups::Groups;
 use crate::mesh::GroupMesh;
@@ -49,6 +50,23 @@ fn glb_is_two_chunks_whose_views_lie_in_the_buffer() {
     assert_eq!(json["accessors"][3]["count"], 12);
     let most = json["accessors"][0]["max"][0].as_f64().expect("a number");
     assert!((most - 0.06).abs() < 1e-8, "metres: {most}");
+}
+
+/// Our reader takes the archive as it takes the stage, whose bytes begin at a multiple of 64.
+#[test]
+fn usdz_has_the_stage_as_it_is() {
+    let groups = Groups::load("vista3d").expect("the table is right");
+    let mesh = tetrahedron();
+    let text = usda(&[Asset {
+        group: &groups.groups[0],
+        mesh: &mesh,
+    }]);
+    let archive = usdz("patient.usda", text.as_bytes());
+    assert_eq!(&archive[64..64 + text.len()], text.as_bytes());
+    let [stage, packed] = [text.as_bytes(), &archive].map(|file| of_usd(file).expect("it is read"));
+    assert_eq!(stage[0].mesh.positions, packed[0].mesh.positions);
+    let cut = of_usd(&archive[..archive.len() - 23]).expect_err("the end is missing");
+    assert!(cut.contains("cut off"), "{cut}");
 }
 
 #[test]

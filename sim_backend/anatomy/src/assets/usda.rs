@@ -3,17 +3,18 @@
 use std::fmt::Write as _;
 
 use super::{Asset, extent};
+use crate::groups::Group;
 
 /// Numbers that are written on a line.
 const PER_LINE: usize = 12;
 
 /// `name` as a prim's name.
-fn prim(name: &str) -> String {
+pub(super) fn prim(name: &str) -> String {
     name.replace('-', "_")
 }
 
 /// `key = [items]`, some on a line.
-fn list(text: &mut String, key: &str, items: impl Iterator<Item = String>, after: &str) {
+pub(super) fn list(text: &mut String, key: &str, items: impl Iterator<Item = String>, after: &str) {
     let _written = write!(text, "        {key} = [");
     for (i, item) in items.enumerate() {
         let between = match i {
@@ -27,7 +28,7 @@ fn list(text: &mut String, key: &str, items: impl Iterator<Item = String>, after
     let _written = writeln!(text, "]{after}");
 }
 
-fn vector(v: [f32; 3]) -> String {
+pub(super) fn vector(v: [f32; 3]) -> String {
     let [x, y, z] = v;
     format!("({x}, {y}, {z})")
 }
@@ -38,9 +39,11 @@ fn material(text: &mut String, asset: &Asset<'_>) {
     let [r, g, b] = group.colour;
     let _written = write!(
         text,
-        r#"        def Material "{name}"
+        r#"        def Material "{name}" (
+            prepend apiSchemas = ["PhysicsMaterialAPI", "PhysxDeformableBodyMaterialAPI"]
+        )
         {{
-            token outputs:surface.connect = </Patient/Materials/{name}/Surface.outputs:surface>
+{}            token outputs:surface.connect = </Patient/Materials/{name}/Surface.outputs:surface>
 
             def Shader "Surface"
             {{
@@ -55,8 +58,32 @@ fn material(text: &mut String, asset: &Asset<'_>) {
         }}
 
 "#,
-        group.roughness, group.wetness
+        stiffness(group, 12),
+        group.roughness,
+        group.wetness
     );
+}
+
+/// What a body of the group's tissue does under load, `indent` spaces in: density, kg/m³, Young's modulus, Pa, Poisson's ratio, damping, s.
+/// The names are `PhysX`'s, for `OpenUSD` itself has none for deformable bodies.
+pub(super) fn stiffness(group: &Group, indent: usize) -> String {
+    let values = [
+        ("physics:density", group.density_kg_m3),
+        (
+            "physxDeformableBodyMaterial:youngsModulus",
+            group.youngs_modulus_pa,
+        ),
+        (
+            "physxDeformableBodyMaterial:poissonsRatio",
+            group.poissons_ratio,
+        ),
+        (
+            "physxDeformableBodyMaterial:elasticityDamping",
+            group.damping_s,
+        ),
+    ];
+    let line = |(name, value): (&str, f64)| format!("{:indent$}float {name} = {value}\n", "");
+    values.map(line).concat()
 }
 
 fn mesh(text: &mut String, asset: &Asset<'_>) {

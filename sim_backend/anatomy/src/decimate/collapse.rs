@@ -4,7 +4,7 @@ use nalgebra::Point3;
 
 use super::quadric::Quadric;
 use super::state::{Kind, NONE, State, normal};
-use crate::geometry::distance_squared;
+use crate::geometry::{cross, distance_squared};
 
 /// Cosine of the most that a triangle may turn in one collapse.
 const TURN_MIN: f64 = 0.5;
@@ -88,6 +88,9 @@ impl State {
         } else {
             return None;
         };
+        if !self.crosses_nothing(&trial) {
+            return None;
+        }
         self.execute(&trial, &moves);
         Some(stays)
     }
@@ -214,8 +217,39 @@ impl State {
         Some(moves)
     }
 
+    /// Whether the changed triangles cross neither others nor each other.
+    fn crosses_nothing(&self, trial: &Trial) -> bool {
+        let points: Vec<_> = trial.change.iter().flat_map(|(_, after)| *after).collect();
+        let sides = trial.change.first().map(|(t, _)| self.sides[*t as usize]);
+        let counts = |t: &u32| {
+            let is_own = !self.apart || Some(self.sides[*t as usize]) == sides;
+            is_own && self.alive[*t as usize] && !trial.vanish.contains(t)
+        };
+        let renamed = |t: u32| {
+            self.triangles[t as usize].map(|v| if v == trial.goes { trial.stays } else { v })
+        };
+        let others: Vec<u32> = self
+            .cells
+            .near(&points)
+            .into_iter()
+            .filter(counts)
+            .collect();
+        let changed = |t: &u32| trial.change.iter().find(|(changed, _)| changed == t);
+        let place = |t: &u32| changed(t).map_or_else(|| self.corners(*t), |(_, after)| *after);
+        let others: Vec<_> = others.iter().map(|t| (renamed(*t), place(t))).collect();
+        trial.change.iter().all(|(t, after)| {
+            let numbers = renamed(*t);
+            let crossed = |(other, at): &([u32; 3], _)| cross((&numbers, after), (other, at));
+            !others.iter().any(crossed)
+        })
+    }
+
     fn execute(&mut self, trial: &Trial, moves: &[(u32, u32)]) {
         let (goes, stays) = (trial.goes as usize, trial.stays as usize);
+        for (t, after) in &trial.change {
+            let before = self.corners(*t);
+            self.cells.change(*t, &before, after, &self.alive);
+        }
         self.positions[stays] = trial.place;
         self.quadrics[stays] = self.sum(trial.goes, trial.stays);
         self.groups[stays] |= self.groups[goes];

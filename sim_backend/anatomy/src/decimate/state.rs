@@ -6,6 +6,7 @@ use std::collections::BinaryHeap;
 use nalgebra::{Point3, Vector3};
 
 use super::Sampled;
+use super::cells::Cells;
 use super::quadric::Quadric;
 use crate::number::index;
 
@@ -42,6 +43,9 @@ pub(super) struct State {
     /// The first sample of each triangle, and the one after each sample.
     pub(super) first: Vec<u32>,
     pub(super) next: Vec<u32>,
+    pub(super) cells: Cells,
+    /// Whether groups have surfaces of their own, which may cross those of others.
+    pub(super) apart: bool,
     /// Counts changes around each vertex.
     versions: Vec<u32>,
     heap: BinaryHeap<Candidate>,
@@ -63,6 +67,7 @@ pub(super) fn normal([a, b, c]: &[Point3<f64>; 3]) -> (Vector3<f64>, f64) {
 impl State {
     pub(super) fn new(part: Sampled) -> Self {
         let count = part.complex.positions.len();
+        let apart = part.complex.is_apart();
         let triangles = part.complex.triangles;
         let mut state = Self {
             alive: vec![true; triangles.len()],
@@ -72,6 +77,8 @@ impl State {
             quadrics: vec![Quadric::zero(); count],
             first: vec![NONE; triangles.len()],
             next: vec![NONE; part.samples.len()],
+            apart,
+            cells: Cells::new(&part.complex.positions, &triangles),
             versions: vec![0; count],
             heap: BinaryHeap::new(),
             positions: part.complex.positions,

@@ -2,14 +2,14 @@
 
 use nalgebra::Point3;
 
-use crate::geometry::distance_squared;
+use crate::geometry::{distance_squared, nearest_on_triangle};
 use crate::number::{floor_to, index, real};
 
 /// Cells along an axis at most.
 const CELLS_MAX: usize = 128;
 
 /// Triangles by cells.
-pub(super) struct Nearest<'a> {
+pub(crate) struct Nearest<'a> {
     positions: &'a [Point3<f64>],
     triangles: &'a [[u32; 3]],
     low: Point3<f64>,
@@ -20,7 +20,7 @@ pub(super) struct Nearest<'a> {
 }
 
 impl<'a> Nearest<'a> {
-    pub(super) fn new(positions: &'a [Point3<f64>], triangles: &'a [[u32; 3]]) -> Self {
+    pub(crate) fn new(positions: &'a [Point3<f64>], triangles: &'a [[u32; 3]]) -> Self {
         let none = (
             Point3::from([f64::INFINITY; 3]),
             Point3::from([f64::NEG_INFINITY; 3]),
@@ -78,20 +78,37 @@ impl<'a> Nearest<'a> {
         (low[2]..=high[2]).flat_map(move |z| (low[1]..=high[1]).flat_map(move |y| column(y, z)))
     }
 
-    /// The least squared distance of `p` from the triangles of a cell.
-    fn in_cell(&self, p: &Point3<f64>, cell: usize) -> f64 {
+    /// The nearer of `best` and the nearest triangle of a cell, as squared distance and triangle.
+    fn in_cell(&self, p: &Point3<f64>, cell: usize, best: (f64, u32)) -> (f64, u32) {
         let range = self.starts[cell] as usize..self.starts[cell + 1] as usize;
-        self.list[range]
-            .iter()
-            .map(|t| distance_squared(p, &self.corners(*t as usize)))
-            .fold(f64::INFINITY, f64::min)
+        self.list[range].iter().fold(best, |best, t| {
+            let squared = distance_squared(p, &self.corners(*t as usize));
+            if squared < best.0 {
+                (squared, *t)
+            } else {
+                best
+            }
+        })
     }
 
     /// The distance of `p` from the nearest triangle.
-    pub(super) fn distance(&self, p: &Point3<f64>) -> f64 {
+    pub(crate) fn distance(&self, p: &Point3<f64>) -> f64 {
+        self.find(p).0.sqrt()
+    }
+
+    /// The point of the nearest triangle that is nearest to `p`; `p` if there is no triangle.
+    pub(crate) fn point(&self, p: &Point3<f64>) -> Point3<f64> {
+        match self.find(p) {
+            (_, u32::MAX) => *p,
+            (_, t) => nearest_on_triangle(p, &self.corners(t as usize)),
+        }
+    }
+
+    /// The nearest triangle, with its squared distance.
+    fn find(&self, p: &Point3<f64>) -> (f64, u32) {
         let at = self.cell_at(p);
         let most = self.dims.into_iter().max().unwrap_or(1);
-        let mut best = f64::INFINITY;
+        let mut best = (f64::INFINITY, u32::MAX);
         for ring in 0..=most {
             let range =
                 |k: usize| at[k].saturating_sub(ring)..=(at[k] + ring).min(self.dims[k] - 1);
@@ -103,18 +120,18 @@ impl<'a> Nearest<'a> {
                             .max(y.abs_diff(at[1]))
                             .max(z.abs_diff(at[2]));
                         if far == ring {
-                            best = best
-                                .min(self.in_cell(p, x + self.dims[0] * (y + self.dims[1] * z)));
+                            let cell = x + self.dims[0] * (y + self.dims[1] * z);
+                            best = self.in_cell(p, cell, best);
                         }
                     }
                 }
             }
             // What lies in farther rings is at least this far; a point outside of the cells is farther still.
             let seen = real(ring) * self.cell;
-            if best <= seen * seen {
+            if best.0 <= seen * seen {
                 break;
             }
         }
-        best.sqrt()
+        best
     }
 }

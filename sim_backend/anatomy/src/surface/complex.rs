@@ -72,6 +72,11 @@ impl Complex {
         self.triangles[triangle].map(|v| self.positions[v as usize])
     }
 
+    /// Whether each triangle is of one group alone, as marching cubes make them: surfaces of neighbours are then near each other twice.
+    pub(crate) fn is_apart(&self) -> bool {
+        self.sides.iter().all(|sides| sides.contains(&0))
+    }
+
     /// The volume of each group by its number, mm³; the background's is the negative of all others'.
     #[must_use]
     pub fn volumes(&self) -> Vec<f64> {

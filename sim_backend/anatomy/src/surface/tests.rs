@@ -152,7 +152,7 @@ fn balancing_gives_every_group_its_volume() {
         let volume = organs(24);
         let mut coarse = decimate(complex(&volume, method, 20), 0.4);
         let targets = targets(&volume);
-        balance(&mut coarse, &targets, 1.0);
+        balance(&mut coarse, &targets, 1.0, |_, to| to);
         for (group, volume) in coarse.volumes().iter().enumerate().skip(1).take(3) {
             let ratio = volume / targets[group];
             assert!((ratio - 1.0).abs() < 2e-3, "{method:?} {group}: {ratio}");

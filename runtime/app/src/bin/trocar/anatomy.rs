@@ -27,7 +27,7 @@ pub(crate) enum AnatomyVerb {
     Phantom(PhantomArgs),
     /// Make meshes of a CT's labels.
     #[command(
-        after_help = "Example: trocar anatomy build runs/patient/labels.nii.gz --out runs/patient\n         trocar anatomy build segmentation.nii.gz --groups totalsegmentator --max-error-mm 1 --out runs/case --json runs/case.json\n\nOUT gets patient.glb (glTF), patient.usda (OpenUSD) and patient.json (what was measured), a mesh a tissue group, where the scan has them: right, anterior, superior, in metres. A label that the table does not have is refused; tables of your own have the form of those in config/anatomy/."
+        after_help = "Example: trocar anatomy build runs/patient/labels.nii.gz --out runs/patient\n         trocar anatomy build segmentation.nii.gz --groups totalsegmentator --max-error-mm 1 --out runs/case --json runs/case.json\n\nOUT gets patient.glb (glTF), patient.usda and patient.usdz (OpenUSD) and patient.json (what was measured), a mesh a tissue group, where the scan has them: right, anterior, superior, in metres. A label that the table does not have is refused; tables of your own have the form of those in config/anatomy/."
     )]
     Build(BuildArgs),
     /// Draw a patient on a turntable.
@@ -113,6 +113,12 @@ pub(crate) struct BuildArgs {
     /// Pieces of a group that are smaller go to their neighbours, mm³, up to 100000.
     #[arg(long, value_name = "V", default_value_t = 30.0, value_parser = island_mm3)]
     min_island_mm3: f64,
+    /// Measure distances from the voxels after each stage that moves surfaces too; they go into patient.json.
+    #[arg(long)]
+    measure_stages: bool,
+    /// Fill the groups with tetrahedra too, of a body-centred cubic lattice with cells of this side, mm, 0.5 to 50: tetrahedra.usda.
+    #[arg(long, value_name = "MM", value_parser = side_mm)]
+    tetrahedra: Option<f64>,
     /// Write what was made, with times and memory of each stage, as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -160,6 +166,10 @@ fn error_mm(text: &str) -> Result<f64, String> {
 
 fn island_mm3(text: &str) -> Result<f64, String> {
     within(text, 0.0, 1e5)
+}
+
+fn side_mm(text: &str) -> Result<f64, String> {
+    within(text, 0.5, 50.0)
 }
 
 pub(crate) fn anatomy(verb: &AnatomyVerb) -> Done {
@@ -218,6 +228,8 @@ fn build(args: &BuildArgs) -> Done {
             Surface::MarchingCubes => Method::MarchingCubes,
         },
         min_island_mm3: args.min_island_mm3,
+        measure_stages: args.measure_stages,
+        tetrahedra_mm: args.tetrahedra,
         ..Options::default()
     };
     let bar = console::bar("read");
@@ -265,6 +277,11 @@ fn tell(made: &anatomy::Built) {
         ));
     }
     let seconds: f64 = made.stages.iter().map(|stage| stage.seconds).sum();
+    for without in &report.tetrahedra {
+        if let Some(reason) = &without.none_since {
+            console::result(&format!("no tetrahedra of {}: {reason}", without.group));
+        }
+    }
     let repaired = &report.repaired;
     console::result(&format!(
         "{} of {} triangles left; {} islands and {} holes repaired; {seconds:.1} s; distances in voxels",

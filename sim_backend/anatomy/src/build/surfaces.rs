@@ -1,0 +1,97 @@
+//! Surfaces on their way: found, smooth, decimated, each with the volumes of its voxels.
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+
+use super::{Options, Stage, StageDistance};
+use crate::balance::balance;
+use crate::decimate::crossing_vertices;
+use crate::groups::{Group, Groups};
+use crate::measure::measure;
+use crate::mesh::GroupMesh;
+use crate::smooth::{Neighbours, smooth, within_reach};
+use crate::surface::complex::Complex;
+use crate::surface::{Method, cubes, nets};
+use crate::volume::Padded;
+
+/// Times that vertices of crossing triangles are put back: each may lay bare others.
+const BACK_MAX: usize = 4;
+
+/// The surfaces between groups, smooth, with the volumes of their voxels; `look` sees them before they are smooth.
+pub(super) fn surfaces(
+    volume: &Padded,
+    targets: &[f64],
+    options: &Options,
+    watch: &mut dyn FnMut(Stage),
+    look: &mut dyn FnMut(&dyn Fn() -> Complex),
+) -> Complex {
+    let grid = &volume.grid;
+    let half_voxel = 0.5 * grid.spacing().into_iter().fold(f64::INFINITY, f64::min);
+    match options.surface {
+        Method::Nets => {
+            let mut net = nets::extract(volume);
+            look(&|| Complex::of_net(net.clone(), grid));
+            watch(Stage::Smooth);
+            let neighbours = Neighbours::of_net(&net);
+            let begin = net.positions.clone();
+            smooth(&mut net.positions, &neighbours, options.smoothing);
+            let mut complex = Complex::of_net(net, grid);
+            let voxel_from_world = grid.voxel_from_world().unwrap_or_default();
+            let in_cell = |v: usize, to: Point3<f64>| {
+                let voxel = Point3::from(voxel_from_world * (to.coords - grid.origin));
+                grid.world(&within_reach(&begin[v], voxel))
+            };
+            balance(&mut complex, targets, half_voxel, in_cell);
+            complex
+        }
+        Method::MarchingCubes => {
+            let mut complex = cubes::extract(volume);
+            look(&|| complex.clone().placed(grid));
+            watch(Stage::Smooth);
+            let neighbours = Neighbours::of_triangles(&complex.triangles, complex.positions.len());
+            smooth(&mut complex.positions, &neighbours, options.smoothing);
+            let mut complex = complex.placed(grid);
+            balance(&mut complex, targets, half_voxel, |_, to| to);
+            complex
+        }
+    }
+}
+
+/// Volumes put right after decimation, by moves of at most `most_mm`; sheets that would pass each other stay where they are.
+pub(super) fn settle(complex: &mut Complex, targets: &[f64], most_mm: f64) {
+    let before = complex.positions.clone();
+    balance(complex, targets, most_mm, |_, to| to);
+    for _ in 0..BACK_MAX {
+        let crossing = crossing_vertices(complex);
+        if crossing.is_empty() {
+            break;
+        }
+        for v in crossing.into_iter().map(|v| v as usize) {
+            complex.positions[v] = before[v];
+        }
+    }
+}
+
+/// Distances of all groups' surfaces in `complex` from their voxels.
+pub(super) fn stage_distances(
+    stage: Stage,
+    complex: &Complex,
+    volume: &Padded,
+    groups: &Groups,
+    targets: &[f64],
+) -> Vec<StageDistance> {
+    let of_group = |(number, group): (usize, &Group)| {
+        let mesh = GroupMesh::of(complex, number);
+        let found = measure(&mesh, volume, targets[number + 1])?;
+        Some(StageDistance {
+            stage,
+            group: group.name.clone(),
+            triangles: mesh.triangles.len(),
+            hausdorff_voxels: found.hausdorff_voxels,
+            mean_voxels: found.mean_voxels,
+            dice: found.dice,
+        })
+    };
+    let all = groups.groups.par_iter().enumerate();
+    all.filter_map(of_group).collect()
+}
