@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector
 use crate::disturbance::Disturber;
 use crate::expert::Expert;
 use crate::simulation::{Rendering, Simulation};
-use crate::task::{Outcome, Reason, TaskConfig};
+use crate::task::{Criteria, Outcome, Reason, TaskConfig};
 
 /// Tip in the RCM frame, straight from the rows of the arm's description.
 pub(crate) fn forward(joints: &JointVector) -> Pose {
@@ -68,6 +68,8 @@ pub(crate) struct Episode {
     pub(crate) attempts: u32,
     pub(crate) speed_m_s_max: f64,
     pub(crate) state_hash: u64,
+    /// How the judge's criteria were when the episode was decided.
+    pub(crate) criteria: Criteria,
 }
 
 /// Runs the expert until the episode is decided; `disturb` may change the command of the first arm.
@@ -92,6 +94,8 @@ pub(crate) fn run_with(
     let mut speed_m_s_max: f64 = 0.0;
     let mut attempts = 1;
     let mut tick = 0;
+    let mut criteria = simulation.criteria();
+    assert!(!criteria.are_met(), "{criteria:?} before anything is done");
     while simulation.outcome() == Outcome::Running {
         let now = TimeNs::from_tick(tick);
         let mut chunks = expert.chunks(now, &simulation.scene_state(), tick / 40 + 1);
@@ -118,7 +122,11 @@ pub(crate) fn run_with(
                 arm.write(&command, &SafeTail::hold(&command))
                     .expect("written");
             }
+            let decided = simulation.outcome() != Outcome::Running;
             simulation.step();
+            if !decided && simulation.outcome() != Outcome::Running {
+                criteria = simulation.criteria();
+            }
             tick += 1;
         }
     }
@@ -129,6 +137,7 @@ pub(crate) fn run_with(
         attempts,
         speed_m_s_max,
         state_hash: simulation.state_hash(),
+        criteria,
     }
 }
 
@@ -176,6 +185,12 @@ pub(crate) fn failures(task: &TaskConfig, seeds: Range<u64>) -> Vec<String> {
             episode.speed_m_s_max < 0.06,
             "seed {seed}: {} m/s",
             episode.speed_m_s_max
+        );
+        let criteria = &episode.criteria;
+        assert_eq!(
+            criteria.are_met(),
+            episode.outcome == Outcome::Success,
+            "{criteria:?}"
         );
         if episode.outcome != Outcome::Success {
             failed.push(format!(

@@ -15,7 +15,7 @@ use trocar_world::tissue::{FlapSnapshot, TissueExtremes};
 use crate::SimulationError;
 use crate::cameras::SceneCameras;
 use crate::scene::{ArmScene, SceneSnapshot, SceneState, THINGS_MAX};
-use crate::task::{Judge, Outcome, Sight, TaskConfig};
+use crate::task::{Criteria, Judge, Outcome, Sight, TaskConfig};
 use hal::ARMS_MAX;
 pub use nudge::Nudge;
 
@@ -155,6 +155,12 @@ impl Simulation {
     #[must_use]
     pub fn missing(&self) -> &'static str {
         self.judge.missing()
+    }
+
+    /// What has to be so for success, and how it is now.
+    #[must_use]
+    pub fn criteria(&self) -> Criteria {
+        self.judge.criteria(&Sight::of(&self.world))
     }
 
     /// What the flap has gone through since the episode began, if there is one.

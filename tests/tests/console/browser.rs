@@ -335,7 +335,7 @@ const DRIVES: &str = r"(async () => {
   document.body.dataset.subject = 'drives';
   new Drives().show({
     seconds: 12.3, episode_s: 4.5, stalled_s: 0, frames_lost: 0, arms,
-    buses: [{ interface: 'can0', frames: 123456, load: 0.74 }, { interface: 'can1', frames: 123456, load: 0.31 }],
+    buses: [{ interface: 'can0', frames_per_s: 14003, load: 0.74, errors: 0 }, { interface: 'can1', frames_per_s: 5003, load: 0.31, errors: 2 }],
     happened: [{ seconds: 1.2, text: 'all drives are enabled at 1.200 s: the episode begins' }, { seconds: 9.1, text: 'psm2 node 3: it lost its power' }],
   });
 })()";

@@ -31,6 +31,15 @@ pub(crate) struct Served {
     sockets: PathBuf,
 }
 
+/// How many mutated messages a test sends: `least`, or as many as `TROCAR_MUTATED_MESSAGES` says if that is more.
+pub(crate) fn mutated_messages(least: usize) -> usize {
+    let asked = std::env::var("TROCAR_MUTATED_MESSAGES").ok();
+    asked.map_or(least, |count| count.parse::<usize>().unwrap().max(least))
+}
+
+/// By how much a process may grow while it is sent nonsense, MB.
+pub(crate) const GROWTH_MB: u64 = 48;
+
 /// The log of an expert's episode of `task`, in the scratch folder of `test`.
 pub(crate) fn made_log(test: &str, task: &str) -> PathBuf {
     let log = scratch(test).join("run.mcap");
@@ -162,6 +171,15 @@ impl Served {
         let mut answer = Vec::new();
         stream.read_to_end(&mut answer).ok()?;
         Some(String::from_utf8_lossy(&answer).into_owned())
+    }
+
+    /// Its resident memory, MB.
+    pub(crate) fn resident_mb(&self) -> u64 {
+        let path = format!("/proc/{}/status", self.process.id());
+        let status = fs::read_to_string(path).unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmRSS:"));
+        let kb = line.unwrap().split_whitespace().nth(1).unwrap();
+        kb.parse::<u64>().unwrap() / 1024
     }
 
     /// The exit code, once it has ended.

@@ -6,9 +6,9 @@ use tests::json;
 use tungstenite::Message;
 
 use crate::page::{Heard, Page};
-use crate::run::Served;
+use crate::run::{GROWTH_MB, Served, mutated_messages};
 
-/// Mutated messages that are sent.
+/// Mutated messages that are sent at least.
 const MUTATED: usize = 6000;
 
 fn steering(served: &Served) -> Page {
@@ -131,11 +131,19 @@ fn a_page_hears_what_the_run_does() {
         assert_eq!(arm[key].as_array().unwrap().len(), 7, "{key}");
     }
     assert!(state["task"].is_string(), "{state}");
+    let criteria = state["criteria"].as_array().unwrap();
+    let lasts = criteria.last().unwrap();
+    assert_eq!(
+        (&lasts["unit"], &lasts["met"]),
+        (&json!("s"), &json!(false))
+    );
+    assert!(criteria.iter().all(|it| it["goal"].is_f64()), "{state}");
     let ticks = state["counts"]["ticks"].as_u64().unwrap();
-    for histogram in ["compute", "wake"] {
+    for (histogram, before) in [("compute", 0), ("wake", 0), ("period", 1)] {
         let counts = state["timing"][histogram]["counts"].as_array().unwrap();
         let sum: u64 = counts.iter().map(|count| count.as_u64().unwrap()).sum();
-        assert_eq!(sum, ticks, "{histogram}");
+        // The first tick ends no period.
+        assert_eq!(sum + before, ticks, "{histogram}");
     }
 }
 
@@ -235,8 +243,8 @@ fn mutated_messages_do_nothing() {
     });
     let still = page.wait_for_state("PAUSED")["arms"][0]["commanded"].clone();
     let mut random = SplitMix64::new(7);
-    let mut sent = 0;
-    while sent < MUTATED {
+    let (mut sent, resident_mb) = (0, served.resident_mb());
+    while sent < mutated_messages(MUTATED) {
         for _ in 0..200 {
             let message = mutated(&mut random);
             if page.socket.send(message).is_err() {
@@ -251,6 +259,11 @@ fn mutated_messages_do_nothing() {
         assert_eq!(state["arms"][0]["commanded"], still);
     }
     assert_eq!(served.process.try_wait().unwrap(), None);
+    let after_mb = served.resident_mb();
+    assert!(
+        after_mb < resident_mb + GROWTH_MB,
+        "{resident_mb} MB, then {after_mb}"
+    );
     assert!(page.command("resume").0);
     page.wait_for_state("ENABLED");
 }

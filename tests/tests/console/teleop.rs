@@ -7,9 +7,9 @@ use trocar::rt::MonotonicClock;
 use tungstenite::Message;
 
 use crate::page::Page;
-use crate::run::{Served, verified};
+use crate::run::{GROWTH_MB, Served, mutated_messages, verified};
 
-/// Mutated messages that are sent.
+/// Mutated messages that are sent at least.
 const MUTATED: usize = 3000;
 
 /// A run that a page moves by hand, in slow motion: machines that build beside it must not make hands late.
@@ -363,8 +363,8 @@ fn mutated_hands_move_nothing() {
     let mut operator = Operator::take_control(Page::open(&served));
     let still = rested(&mut operator.page);
     let mut random = SplitMix64::new(11);
-    let mut sent = 0;
-    while sent < MUTATED {
+    let (mut sent, resident_mb) = (0, served.resident_mb());
+    while sent < mutated_messages(MUTATED) {
         for _ in 0..200 {
             if operator.page.socket.send(mutated(&mut random)).is_err() {
                 break;
@@ -378,6 +378,11 @@ fn mutated_hands_move_nothing() {
         assert_eq!(state["arms"][0]["state"], "ENABLED");
     }
     assert_eq!(served.process.try_wait().unwrap(), None);
+    let after_mb = served.resident_mb();
+    assert!(
+        after_mb < resident_mb + GROWTH_MB,
+        "{resident_mb} MB, then {after_mb}"
+    );
     operator.engage();
     operator.rise(9);
     // Whole ones still do.

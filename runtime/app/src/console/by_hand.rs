@@ -25,6 +25,12 @@ pub(super) fn heard(shared: &Shared, seat: &Seat, request: Request) -> Result<()
         Request::Scale(scale) => hands.set_scale(scale)?,
         Request::HandBack(true) => hands.hand_back()?,
         Request::Episode(wish) => hands.wish(wish)?,
+        Request::Label(text) => hands.set_label(text)?,
+        Request::Shown((_, seconds)) => {
+            if let Some(age_ns) = shared.board.age_ns(seconds) {
+                hands.seen(age_ns);
+            }
+        }
         Request::HandsOff(_)
         | Request::HandBack(false)
         | Request::Seen(_)

@@ -214,12 +214,15 @@ impl Page {
                 (self.place, self.moved) = (Some(seconds), true);
                 self.shared.place.send_replace(self.place);
             }
+            Request::Shown(_) if !self.seat.steers() => {}
             Request::Command(text) => return self.command(&text, socket).await,
-            Request::Hands(_)
+            Request::Shown(_)
+            | Request::Hands(_)
             | Request::HandsOff(_)
             | Request::Scale(_)
             | Request::HandBack(_)
-            | Request::Episode(_) => {
+            | Request::Episode(_)
+            | Request::Label(_) => {
                 if let Err(problem) = by_hand::heard(&self.shared, &self.seat, request) {
                     let text = &problem.to_string();
                     return answer(socket, &Told::Problem { text }).await;

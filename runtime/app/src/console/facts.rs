@@ -5,7 +5,7 @@ use hal::joints::{INSERTION, JOINT_NAMES};
 use serde::Serialize;
 use trocar_control::{ControlConfig, rows};
 
-use super::tap::BUCKETS_US;
+use super::tap::{BUCKETS_US, PERIOD_BUCKETS_US};
 
 /// What does not change while a run goes on.
 #[derive(Clone, Debug, Serialize)]
@@ -24,6 +24,8 @@ pub struct Facts {
     pub(super) scene: bool,
     /// Upper ends of the histograms' buckets, us.
     buckets_us: Vec<u64>,
+    /// The same of periods.
+    period_buckets_us: Vec<u64>,
     time_limit_s: Option<f64>,
     /// The picture in whose axes hands move, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -37,6 +39,9 @@ pub struct Facts {
     /// Of a log, how the run ended.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) outcome: Option<EndFacts>,
+    /// Interfaces of the buses that the arms are on, and their bit rate, bit/s.
+    #[serde(skip)]
+    pub(super) buses: (Vec<String>, u32),
     #[serde(skip)]
     pub(super) rows: Vec<String>,
     /// Where the arms' remote centres are in the scene.
@@ -144,11 +149,13 @@ impl Facts {
             cameras,
             scene: false,
             buckets_us: BUCKETS_US.to_vec(),
+            period_buckets_us: PERIOD_BUCKETS_US.to_vec(),
             time_limit_s: None,
             picture: None,
             seconds: None,
             events: Vec::new(),
             outcome: None,
+            buses: (Vec::new(), 0),
             rows: Vec::new(),
             rcms_in_scene: Vec::new(),
         }
@@ -164,6 +171,12 @@ impl Facts {
     #[must_use]
     pub fn within_s(mut self, time_limit_s: f64) -> Self {
         self.time_limit_s = Some(time_limit_s);
+        self
+    }
+
+    /// The same of arms on these CAN interfaces, whose buses have this bit rate, bit/s.
+    pub(crate) fn on_buses(mut self, interfaces: Vec<String>, bit_rate: u32) -> Self {
+        self.buses = (interfaces, bit_rate);
         self
     }
 

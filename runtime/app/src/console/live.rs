@@ -3,13 +3,15 @@
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use super::TaskState;
 use super::facts::Facts;
 use super::path::paths;
 use super::pictures::Board;
-use super::state::State;
+use super::state::{BusState, State};
 use super::tap::Sample;
 use super::viewers::Message;
 use crate::mailbox::MailboxReader;
+use crate::rig::can_traffic::Buses;
 use crate::rt::MonotonicClock;
 use crate::session::operator::{Command, exchange};
 use crate::session::teleop::Hands;
@@ -28,13 +30,15 @@ pub(super) struct Live {
     operator: Option<PathBuf>,
     hands: Arc<Hands>,
     board: Arc<Board>,
+    /// Those of arms on CAN.
+    buses: Mutex<Buses>,
 }
 
 /// What a run says of itself, through mailboxes.
 #[derive(Debug)]
 pub(super) struct Said {
     pub(super) samples: MailboxReader<Sample>,
-    pub(super) task: MailboxReader<&'static str>,
+    pub(super) task: MailboxReader<TaskState>,
     pub(super) chunks: MailboxReader<PerArm<Chunk>>,
     /// Ticks in which something happened.
     pub(super) noted: Consumer<TickRecord>,
@@ -45,7 +49,7 @@ struct Newest {
     said: Said,
     newest: Option<(Sample, TimeNs)>,
     chunks: Option<PerArm<Chunk>>,
-    missing: Option<&'static str>,
+    task: Option<TaskState>,
     happened: Happened,
     /// When the tick was that viewers were told of last.
     previous: TimeNs,
@@ -59,12 +63,13 @@ impl Live {
         (hands, board): (Arc<Hands>, Arc<Board>),
     ) -> Self {
         Self {
+            buses: Mutex::new(Buses::named(facts.buses.0.iter())),
             facts,
             samples: Mutex::new(Newest {
                 said,
                 newest: None,
                 chunks: None,
-                missing: None,
+                task: None,
                 happened: Happened::new(),
                 previous: TimeNs(0),
             }),
@@ -125,17 +130,23 @@ impl Live {
         if let Some(sample) = samples.said.samples.take() {
             samples.newest = Some((sample, now));
         }
-        samples.missing = samples.said.task.take().or(samples.missing);
+        samples.task = samples.said.task.take().or(samples.task);
         samples.chunks = samples.said.chunks.take().or(samples.chunks);
         let (sample, since) = samples.newest.as_ref()?;
         let silent_s = TimeNs(now.since(*since)).seconds();
-        let state = State::new(sample, &self.facts, silent_s, samples.missing);
+        let state = State::new(sample, &self.facts, silent_s, samples.task.as_ref());
         let paths = samples.chunks.as_ref().map(|chunks| {
             let bases = &self.facts.rcms_in_scene;
             paths(chunks, sample.record.now, bases, &self.board.lenses())
         });
-        let state = state.by_hand(self.hands.status());
+        let state = state.by_hand(self.hands.status()).on_buses(self.buses());
         Some(state.towards(paths.unwrap_or_default()).json())
+    }
+
+    fn buses(&self) -> Vec<BusState> {
+        let mut buses = self.buses.lock().unwrap_or_else(PoisonError::into_inner);
+        buses.look();
+        BusState::of(&buses, self.facts.buses.1)
     }
 
     /// Says `command` to the run, as the operator's verbs do; waits for the answer. Whether it is a yes, and the answer.

@@ -51,16 +51,18 @@ use trocar_control::config::ArmConfig;
 use trocar_log::{Level, live as log_form, pre_faulted_queue};
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
+use trocar_tasks::task::Criteria;
 
 pub use address::{Address, BadAddress, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
 pub use doors::Doors;
 pub use facts::Facts;
 pub(crate) use facts::PictureFacts;
-pub(crate) use pictures::{FramePlanes, FrameTap};
+pub(crate) use pictures::{BETWEEN_NS, FramePlanes, FrameTap};
 pub(crate) use scene::SceneTap;
 pub use tap::ControlTap;
 
 use crate::mailbox::{MailboxWriter, mailbox};
+use crate::rt::MonotonicClock;
 use crate::session::SessionError;
 use crate::session::teleop::{self, Hands};
 use access::Access;
@@ -85,13 +87,22 @@ pub struct Console {
     threads: Arc<Mutex<Vec<JoinHandle<()>>>>,
 }
 
+/// How a task stands. Plain data.
+#[derive(Clone, Copy, Debug)]
+pub struct TaskState {
+    /// What has not happened as long as there is no success, in words.
+    pub missing: &'static str,
+    /// What has to be so for success.
+    pub criteria: Criteria,
+}
+
 /// The ends of a run that say what it does.
 #[derive(Debug)]
 pub struct RunTaps {
     /// For the control thread.
     pub control: ControlTap,
-    /// For whoever knows what the task still lacks.
-    pub task: MailboxWriter<&'static str>,
+    /// For whoever knows how the task stands.
+    pub task: MailboxWriter<TaskState>,
     /// For whoever asks what the run does.
     pub(crate) view: RunView,
 }
@@ -302,6 +313,11 @@ impl Console {
             self.shared.show_shapes(scene::Shapes::new(&model, &bent));
         }
         Ok(SceneTap::new(model, Arc::clone(&self.shared.board)))
+    }
+
+    /// From now on the pictures' time is by `clock`, of a run in real time.
+    pub(crate) fn follow(&self, clock: MonotonicClock) {
+        self.shared.board.follow(clock);
     }
 
     /// The end for frames.

@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use axum::body::Bytes;
 use hal::{Intrinsics, Pose, TimeNs};
@@ -14,9 +15,13 @@ use tokio::sync::watch;
 
 use super::encode;
 use super::path::Lenses;
+use crate::rt::MonotonicClock;
 
 /// Least time between two pictures of a stream, ns: 30 a second.
-const BETWEEN_NS: u64 = 33_000_000;
+pub(crate) const BETWEEN_NS: u64 = 33_000_000;
+
+/// A picture that is older than this has another clock than the run's, ns.
+const AGE_NS_MAX: u64 = 10_000_000_000;
 
 /// Cameras that streams are counted of.
 const CAMERAS_MAX: u8 = 21;
@@ -123,6 +128,8 @@ pub(super) struct Board {
     newest: Mutex<BTreeMap<Stream, Picture>>,
     /// Where the cameras that were drawn last are.
     lenses: Mutex<Lenses>,
+    /// The clock of the run that is shown, of which pictures have their time.
+    clock: Mutex<Option<MonotonicClock>>,
     /// The number of the newest picture.
     changed: watch::Sender<u64>,
 }
@@ -147,6 +154,7 @@ impl Board {
             fresh: Condvar::new(),
             newest: Mutex::default(),
             lenses: Mutex::default(),
+            clock: Mutex::default(),
             changed: watch::Sender::new(0),
         }
     }
@@ -191,6 +199,19 @@ impl Board {
                 .any(|&plane| self.wants(Stream { camera, plane }))
         });
         lenses
+    }
+
+    /// From now on pictures have their time by `clock`.
+    pub(super) fn follow(&self, clock: MonotonicClock) {
+        *lock(&self.clock) = Some(clock);
+    }
+
+    /// How long ago the picture was taken whose time is `seconds`; none of a picture of no run.
+    pub(super) fn age_ns(&self, seconds: f64) -> Option<u64> {
+        let now = (*lock(&self.clock))?.now();
+        let taken_ns = Duration::try_from_secs_f64(seconds).ok()?.as_nanos();
+        let age_ns = now.since(TimeNs(u64::try_from(taken_ns).ok()?));
+        (age_ns > 0 && age_ns < AGE_NS_MAX).then_some(age_ns)
     }
 
     /// Puts up a compressed picture, or where everything is.
@@ -379,6 +400,20 @@ mod tests {
         let bits: Vec<u64> = streams.map(Stream::bit).filter(|bit| *bit != 0).collect();
         assert_eq!(bits.len(), 64);
         assert_eq!(bits.iter().fold(0, |all, bit| all | bit).count_ones(), 64);
+    }
+
+    #[test]
+    fn pictures_have_an_age_by_the_clock_of_their_run() {
+        let board = Board::new();
+        assert_eq!(board.age_ns(0.0), None, "no run");
+        let clock = MonotonicClock::new();
+        board.follow(clock);
+        clock.wait_until(TimeNs(2_000_000));
+        let age_ns = board.age_ns(0.001).unwrap();
+        assert!((1_000_000..=clock.now().0).contains(&age_ns), "{age_ns}");
+        for seconds in [1e6, 1e300, -1.0, f64::NAN] {
+            assert_eq!(board.age_ns(seconds), None, "{seconds}");
+        }
     }
 
     #[test]

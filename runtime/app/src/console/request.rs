@@ -13,6 +13,9 @@ pub(super) const MESSAGE_BYTES_MAX: usize = 1024;
 /// Streams that a page may watch.
 const STREAMS_MAX: usize = 24;
 
+/// Characters that a demonstration's label may have.
+const LABEL_CHARS_MAX: usize = 64;
+
 /// A message of the page.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
@@ -25,6 +28,8 @@ pub(super) enum Request {
     Command(String),
     /// The pictures that are wanted, in the place of those before.
     Show(Vec<Stream>),
+    /// The newest picture of a camera that a person has before their eyes: its camera and time, s.
+    Shown((u8, f64)),
     /// The operator's hands.
     Hands(HandsMessage),
     /// The page is hidden or has lost the focus: hands let go.
@@ -35,6 +40,8 @@ pub(super) enum Request {
     HandBack(bool),
     /// What is to become of the demonstration.
     Episode(Wish),
+    /// What the demonstration under way is called in the dataset; nothing takes its label away.
+    Label(String),
     /// Where in a log to look, s from its first tick.
     At(f64),
 }
@@ -51,6 +58,12 @@ pub(super) enum BadRequest {
     /// It is nowhere.
     #[error("a place in a log is a finite number")]
     Place,
+    /// It is no label.
+    #[error("a label has up to {LABEL_CHARS_MAX} characters, none of them a control character")]
+    Label,
+    /// It is of no time.
+    #[error("a picture's time is a finite number, not negative")]
+    Time,
 }
 
 impl Request {
@@ -66,19 +79,29 @@ impl Request {
                 Err(BadRequest::Streams(streams.len()))
             }
             Self::At(seconds) if !seconds.is_finite() => Err(BadRequest::Place),
+            Self::Shown((_, seconds)) if !(0.0..f64::INFINITY).contains(seconds) => {
+                Err(BadRequest::Time)
+            }
+            Self::Label(text) if !is_label(text) => Err(BadRequest::Label),
             // Hands and scale are checked where they are used.
             Self::Seen(_)
             | Self::Steer(_)
             | Self::Command(_)
             | Self::Show(_)
+            | Self::Shown(_)
             | Self::Hands(_)
             | Self::HandsOff(_)
             | Self::Scale(_)
             | Self::HandBack(_)
             | Self::Episode(_)
+            | Self::Label(_)
             | Self::At(_) => Ok(request),
         }
     }
+}
+
+fn is_label(text: &str) -> bool {
+    text.chars().count() <= LABEL_CHARS_MAX && !text.chars().any(char::is_control)
 }
 
 /// The operator's command in `text`, which is exactly what the verbs of the command line say.
@@ -123,6 +146,8 @@ impl Allowance {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::super::pictures::Plane;
     use super::*;
 
@@ -141,6 +166,7 @@ mod tests {
             ),
             (r#"{"show":[[1,"depth"]]}"#, Request::Show(vec![stream])),
             (r#"{"at":1.5}"#, Request::At(1.5)),
+            (r#"{"shown":[2,7.25]}"#, Request::Shown((2, 7.25))),
         ] {
             assert_eq!(Request::parse(text), Ok(expected), "{text}");
         }
@@ -154,11 +180,19 @@ mod tests {
             r#"{"set":"x"}"#,
             r#"{"at":null}"#,
             r#"{"at":1e999}"#,
+            r#"{"shown":[0,-1]}"#,
+            r#"{"shown":[256,1]}"#,
             r#"{"show":[[256,"colour"]]}"#,
             r#"{"show":[[0,"raw"]]}"#,
             r#"{"seen":1,"steer":true}"#,
         ] {
             assert!(Request::parse(text).is_err(), "{text}");
+        }
+        let label = |text: &str| Request::parse(&json!({ "label": text }).to_string());
+        let longest = "ä".repeat(64);
+        assert_eq!(label(&longest), Ok(Request::Label(longest.clone())));
+        for text in [&format!("{longest}b"), "two\nlines", "\u{7f}"] {
+            assert_eq!(label(text), Err(BadRequest::Label), "{text:?}");
         }
         let many = format!(r#"{{"show":[{}]}}"#, vec![r#"[0,"ids"]"#; 25].join(","));
         assert_eq!(Request::parse(&many), Err(BadRequest::Streams(25)));

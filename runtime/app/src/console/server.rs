@@ -38,7 +38,7 @@ const VIEWER_BYTES_MAX: usize = 16 << 10;
 const WAITING_MAX: usize = 4;
 
 /// The page's files: path, type, text.
-const FILES: [(&str, &str, &str); 18] = [
+const FILES: [(&str, &str, &str); 19] = [
     (
         "/",
         "text/html; charset=utf-8",
@@ -58,6 +58,7 @@ const FILES: [(&str, &str, &str); 18] = [
     ("/connection.js", SCRIPT, include_str!("page/connection.js")),
     ("/dom.js", SCRIPT, include_str!("page/dom.js")),
     ("/panels.js", SCRIPT, include_str!("page/panels.js")),
+    ("/criteria.js", SCRIPT, include_str!("page/criteria.js")),
     ("/cameras.js", SCRIPT, include_str!("page/cameras.js")),
     ("/drives.js", SCRIPT, include_str!("page/drives.js")),
     ("/recording.js", SCRIPT, include_str!("page/recording.js")),

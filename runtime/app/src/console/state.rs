@@ -4,10 +4,13 @@ use hal::{ARM_NAMES, ArmCommand, ArmState, TimeNs};
 use serde::Serialize;
 use trocar_control::{GateDecision, QpOutcome};
 use trocar_log::ArmRecord;
+use trocar_tasks::task::Criterion;
 
+use super::TaskState;
 use super::facts::Facts;
 use super::path::Path;
 use super::tap::{Buckets, Changed, Counts, Refused, Sample, seconds};
+use crate::rig::can_traffic::{Bus, Buses};
 use crate::session::teleop::TeleopStatus;
 
 /// Axes of an arm: joints and jaw.
@@ -26,13 +29,44 @@ pub(super) struct State {
     timing: Timing,
     latency: Histogram,
     speed_percent: u8,
+    /// What the task still lacks, in words.
     task: Option<&'static str>,
+    /// What has to be so for its success.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    criteria: Vec<Criterion>,
     /// Present if an operator's hands move the arms.
     #[serde(skip_serializing_if = "Option::is_none")]
     teleop: Option<TeleopStatus>,
+    /// The buses of arms on CAN.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    buses: Vec<BusState>,
     /// Where the newest chunk leads, arm by arm.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     paths: Vec<Path>,
+}
+
+/// What the kernel counts of a bus.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct BusState {
+    interface: String,
+    frames_per_s: f64,
+    /// Share of the last second for which it was busy at most, at its bit rate.
+    load: f64,
+    /// Errors and dropped frames since the interface is there.
+    errors: u64,
+}
+
+impl BusState {
+    /// Those of `buses`, which have this bit rate, bit/s.
+    pub(super) fn of(buses: &Buses, bit_rate: u32) -> Vec<Self> {
+        let of = |bus: &Bus| Self {
+            interface: bus.name.clone(),
+            frames_per_s: bus.frames_per_s().round(),
+            load: rounded(bus.load(bit_rate)),
+            errors: bus.errors,
+        };
+        buses.all.iter().map(of).collect()
+    }
 }
 
 /// One arm, in joint order with the jaw last: rad, m, rad/s, m/s.
@@ -86,6 +120,7 @@ struct Counted {
 struct Timing {
     compute: Histogram,
     wake: Histogram,
+    period: Histogram,
     overruns: u64,
 }
 
@@ -113,7 +148,7 @@ impl State {
         sample: &Sample,
         facts: &Facts,
         silent_s: f64,
-        task: Option<&'static str>,
+        task: Option<&TaskState>,
     ) -> Self {
         let Sample { record, counts } = sample;
         let arms = ARM_NAMES.into_iter().zip(record.arms.iter());
@@ -127,12 +162,15 @@ impl State {
             timing: Timing {
                 compute: (&counts.compute).into(),
                 wake: (&counts.wake).into(),
+                period: (&counts.period).into(),
                 overruns: counts.skipped,
             },
             latency: (&counts.latency).into(),
             speed_percent: counts.speed_percent,
-            task,
+            task: task.map(|task| task.missing),
+            criteria: task.map_or_else(Vec::new, |task| task.criteria.iter().copied().collect()),
             teleop: None,
+            buses: Vec::new(),
             paths: Vec::new(),
             arms,
         }
@@ -141,6 +179,12 @@ impl State {
     /// The same with what the operator's hands do.
     pub(super) fn by_hand(mut self, teleop: Option<TeleopStatus>) -> Self {
         self.teleop = teleop;
+        self
+    }
+
+    /// The same with how busy these buses are.
+    pub(super) fn on_buses(mut self, buses: Vec<BusState>) -> Self {
+        self.buses = buses;
         self
     }
 

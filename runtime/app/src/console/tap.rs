@@ -2,7 +2,7 @@
 //!
 //! It counts every tick and hands over the newest one with the counts fifty times a second, and at once when an arm's state changes.
 
-use hal::{ARMS_MAX, Chunk, PerArm, TICK_NS};
+use hal::{ARMS_MAX, Chunk, PerArm, TICK_NS, TimeNs};
 use rtrb::Producer;
 use trocar_control::rows::Velocities;
 use trocar_control::{
@@ -21,20 +21,38 @@ pub(super) const BUCKETS_US: [u64; 16] = [
     1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000,
 ];
 
+/// The same of periods, which are about a millisecond.
+pub(super) const PERIOD_BUCKETS_US: [u64; BUCKETS_US.len()] = [
+    500, 800, 900, 950, 980, 990, 1000, 1010, 1020, 1050, 1100, 1200, 1500, 2000, 5000, 10_000,
+];
+
 /// Rows that are told by name.
 const ROWS_MAX: usize = 8;
 
 /// Durations in buckets.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Buckets {
+    ends_us: &'static [u64; BUCKETS_US.len()],
     pub(super) counts: [u64; BUCKETS_US.len() + 1],
     pub(super) newest_ns: u64,
     pub(super) max_ns: u64,
 }
 
 impl Buckets {
+    /// Empty ones that end at `ends_us`.
+    pub(super) const fn new(ends_us: &'static [u64; BUCKETS_US.len()]) -> Self {
+        Self {
+            ends_us,
+            counts: [0; BUCKETS_US.len() + 1],
+            newest_ns: 0,
+            max_ns: 0,
+        }
+    }
+
     pub(super) fn record(&mut self, duration_ns: u64) {
-        let bucket = BUCKETS_US.partition_point(|end_us| end_us * 1000 < duration_ns);
+        let bucket = self
+            .ends_us
+            .partition_point(|end_us| end_us * 1000 < duration_ns);
         if let Some(count) = self.counts.get_mut(bucket) {
             *count += 1;
         }
@@ -72,6 +90,8 @@ pub(super) struct Counts {
     pub(super) skipped: u64,
     pub(super) compute: Buckets,
     pub(super) wake: Buckets,
+    /// From one wake-up to the next.
+    pub(super) period: Buckets,
     /// From observation to chunk.
     pub(super) latency: Buckets,
     pub(super) passed: u64,
@@ -105,6 +125,8 @@ pub struct ControlTap {
     chunks: MailboxWriter<PerArm<Chunk>>,
     given: Given,
     counts: Counts,
+    /// When the tick before woke up.
+    woke: Option<TimeNs>,
     /// When it last reported, and in which states the arms were.
     reported: Option<(u64, States)>,
     /// For ticks in which something happened; one that finds no room is not told of.
@@ -128,9 +150,10 @@ impl ControlTap {
             counts: Counts {
                 ticks: 0,
                 skipped: 0,
-                compute: Buckets::default(),
-                wake: Buckets::default(),
-                latency: Buckets::default(),
+                compute: Buckets::new(&BUCKETS_US),
+                wake: Buckets::new(&BUCKETS_US),
+                period: Buckets::new(&PERIOD_BUCKETS_US),
+                latency: Buckets::new(&BUCKETS_US),
                 passed: 0,
                 solved: 0,
                 failed: 0,
@@ -142,6 +165,7 @@ impl ControlTap {
                 last_changed: None,
                 speed_percent: 100,
             },
+            woke: None,
             reported: None,
             noted,
             was: (false, [None; ARMS_MAX]),
@@ -211,6 +235,10 @@ impl ControlTap {
         counts.skipped = skipped;
         counts.compute.record(record.timing.compute_ns);
         counts.wake.record(record.timing.wake_ns);
+        let woke = record.now.plus_ns(record.timing.wake_ns);
+        if let Some(before) = self.woke.replace(woke) {
+            counts.period.record(woke.since(before));
+        }
         let any = |what: fn(QpOutcome) -> bool| record.arms.iter().any(|arm| what(arm.report.qp));
         if any(|qp| qp == QpOutcome::Failed) {
             counts.failed += 1;
@@ -287,7 +315,7 @@ mod tests {
 
     #[test]
     fn durations_are_in_the_bucket_that_ends_at_or_after_them() {
-        let mut buckets = Buckets::default();
+        let mut buckets = Buckets::new(&BUCKETS_US);
         for (duration_ns, bucket) in [
             (0, 0),
             (1000, 0),
@@ -302,5 +330,16 @@ mod tests {
             assert_eq!(buckets.counts[bucket], before[bucket] + 1, "{duration_ns}");
         }
         assert_eq!(buckets.max_ns, u64::MAX);
+        let mut periods = Buckets::new(&PERIOD_BUCKETS_US);
+        for (period_ns, bucket) in [
+            (999_000, 6),
+            (1_000_000, 6),
+            (1_015_000, 8),
+            (3_000_000, 14),
+        ] {
+            let before = periods.counts;
+            periods.record(period_ns);
+            assert_eq!(periods.counts[bucket], before[bucket] + 1, "{period_ns}");
+        }
     }
 }

@@ -1,9 +1,8 @@
 //! A run in real time, seen in a terminal, with the operator's commands as keys.
 //!
-//! It asks the run over its operator's socket for what pages of the console are told, ten times a second: `seen` reads that, `draw` and `timing` draw it,
-//! `buses` counts frames on the CAN interfaces of this machine.
+//! It asks the run over its operator's socket for what pages of the console are told, ten times a second: `seen` reads that, `draw` and `timing` draw it;
+//! `rig/can_traffic` counts frames on the CAN interfaces of this machine.
 
-mod buses;
 mod draw;
 mod seen;
 mod timing;
@@ -15,10 +14,10 @@ use std::time::Duration;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
+use crate::rig::can_traffic::Buses;
 use crate::rt;
 use crate::session::SessionError;
 use crate::session::operator::{Command, Look, Onlooker};
-use buses::Buses;
 use seen::{Facts, State};
 use trocar_control::OperatorEvent;
 

@@ -3,8 +3,8 @@ use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use serde_json::{Value, json};
 
-use super::buses::Bus;
 use super::*;
+use crate::rig::can_traffic::Bus;
 
 /// A run of two arms, of which the second has a fault.
 fn facts() -> Value {

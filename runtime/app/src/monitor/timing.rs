@@ -7,9 +7,9 @@ use ratatui::text::Line;
 use ratatui::widgets::{Paragraph, Sparkline};
 
 use super::Screen;
-use super::buses::Bus;
 use super::seen::{Histogram, State};
 use super::tone::{GOOD, WARN};
+use crate::rig::can_traffic::Bus;
 
 /// Draws it into `area`; bars only where there is room.
 pub(super) fn draw_loop(frame: &mut Frame<'_>, area: Rect, (screen, state): (&Screen, &State)) {

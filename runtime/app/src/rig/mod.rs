@@ -4,6 +4,7 @@
 
 pub(crate) mod can;
 pub(crate) mod can_clock;
+pub(crate) mod can_traffic;
 pub(crate) mod lockstep;
 pub(crate) mod threads;
 

@@ -67,7 +67,11 @@ pub fn record_by_hand(
         }
         let demonstrated = result.demonstration.take().unwrap_or_default();
         let again = demonstrated.ended == Some(Wish::Redo);
-        let demo = studio.draw(&one, options, &result, demonstrated)?;
+        let mut demo = studio.draw(&one, options, &result, demonstrated)?;
+        // The label of what is done again is kept for the next try.
+        if let Some(note) = demo.note.by_hand.as_mut().filter(|_| !again) {
+            note.label = console.hands().take_label();
+        }
         // What is done again was no attempt that counts.
         if !again {
             datasets.keep(options, &demo)?;
@@ -155,6 +159,7 @@ impl Studio {
                     .map(|(teleop, source)| ByHandNote {
                         source,
                         ended_by: demonstrated.ended.map_or("judge", |_| "operator"),
+                        label: None,
                         teleop,
                     }),
             },

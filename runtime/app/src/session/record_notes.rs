@@ -102,11 +102,14 @@ pub(super) struct EpisodeNote {
 }
 
 /// How hands did a demonstration.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct ByHandNote {
     pub(super) source: &'static str,
     /// Who says that it is a success: the task's judge or the person.
     pub(super) ended_by: &'static str,
+    /// What the person calls it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) label: Option<String>,
     pub(super) teleop: TeleopSummary,
 }
 
@@ -152,6 +155,7 @@ pub(super) fn by_hand_note(plan: &Plan, hands: &ChunkSource) -> Option<ByHandNot
     both.map(|(teleop, source)| ByHandNote {
         source,
         ended_by: "judge",
+        label: None,
         teleop,
     })
 }

@@ -11,6 +11,8 @@ use trocar_world::organ::Organ;
 use trocar_world::tissue::{RetractionFailure, TissueReport};
 use trocar_world::{Grasp, World};
 
+use super::criteria::Criteria;
+
 /// How an episode stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Outcome {
@@ -186,6 +188,9 @@ pub(crate) trait Monitor: Send {
 
     /// What has not happened as long as there is no success, in words.
     fn missing(&self) -> &'static str;
+
+    /// What has to be so for success, and how it is in the state that was observed last.
+    fn criteria(&self, sight: &Sight) -> Criteria;
 }
 
 /// A monitor with the clock.
@@ -220,6 +225,11 @@ impl Judge {
     /// What has not happened as long as there is no success, in words.
     pub(crate) fn missing(&self) -> &'static str {
         self.monitor.missing()
+    }
+
+    /// What has to be so for success, and how it is in the state that was observed last.
+    pub(crate) fn criteria(&self, sight: &Sight) -> Criteria {
+        self.monitor.criteria(sight)
     }
 
     /// Takes in the state after one millisecond.
@@ -401,6 +411,11 @@ pub(super) struct Held {
 }
 
 impl Held {
+    /// For how long, s.
+    pub(super) fn seconds(self) -> f64 {
+        seconds(self.steps)
+    }
+
     /// Takes in a step: success once the goal has been met for `hold_s`.
     pub(super) fn outcome(&mut self, is_met: bool, hold_s: f64) -> Outcome {
         self.steps = if is_met { self.steps + 1 } else { 0 };

@@ -12,6 +12,7 @@
 pub mod block_transfer;
 mod camera;
 mod common;
+mod criteria;
 mod files;
 mod judge;
 pub mod needle_handover;
@@ -35,6 +36,7 @@ use trocar_world::tissue::TissueConfig;
 use trocar_world::{ArmStart, Scenery, WorldConfig};
 
 pub use camera::{CameraConfig, ENDOSCOPE, Mount, SIDE};
+pub use criteria::{Criteria, Criterion};
 pub use files::{SAFETY_FILE, SCENE_FILE, TaskError, TaskFiles};
 pub(crate) use judge::{Judge, Monitor, Sight};
 pub use judge::{Outcome, Reason};

@@ -236,6 +236,12 @@ impl RetractionMonitor {
         self.state
     }
 
+    /// For how long the mark has been held up where it is to be, s.
+    #[must_use]
+    pub const fn held_s(&self) -> f64 {
+        self.lasting.held_s
+    }
+
     /// Takes in what the tissue reports after one millisecond.
     pub fn observe(&mut self, report: &TissueReport) {
         if self.state != Retraction::Running {

@@ -78,8 +78,14 @@ fn report_teleop(teleop: &TeleopSummary) {
         || "no hand was followed".to_owned(),
         |ms| format!("hand to command p50 {:.1} ms, p99 {:.1} ms", ms.p50, ms.p99),
     );
+    let pictures = teleop.camera_to_page_ms.map_or_else(String::new, |ms| {
+        format!(
+            ", camera to page p50 {:.1} ms, p99 {:.1} ms",
+            ms.p50, ms.p99
+        )
+    });
     console::result(&format!(
-        "  teleoperation: {} engagements, {} released by force, {latency}",
+        "  teleoperation: {} engagements, {} released by force, {latency}{pictures}",
         teleop.engagements, teleop.forced_releases
     ));
 }

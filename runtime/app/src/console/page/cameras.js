@@ -2,6 +2,9 @@
 
 const PLANES = ["colour", "depth", "ids"];
 
+/** Of so many pictures of a camera the run is told of one that it is shown. */
+const SHOWN_EVERY = 5;
+
 export class Cameras {
   #views = [];
   #send;
@@ -77,7 +80,17 @@ export class Cameras {
     view.image.alt = `${view.name}, ${view.plane}, at ${seconds.toFixed(2)} s`;
     view.image.dataset.seconds = seconds.toFixed(3);
     view.count += 1;
+    view.total += 1;
+    if (view.total % SHOWN_EVERY === 0) this.#shown(view, seconds);
     if (before) URL.revokeObjectURL(before);
+  }
+
+  /** Tells the run that the picture of `seconds` is shown: its browser draws it in the frame that begins next. */
+  #shown(view, seconds) {
+    requestAnimationFrame(() => {
+      const camera = this.#views.indexOf(view);
+      if (camera >= 0) this.#send({ shown: [camera, seconds] });
+    });
   }
 
   /** Tells how many pictures came since the last call, `elapsed` seconds ago. */
@@ -128,7 +141,7 @@ export class Cameras {
     frame.append(image, path);
     figure.append(frame, caption);
     this.root.append(figure);
-    const view = { name, image, path, select, rate, plane, count: 0, url: null, next: null, busy: false };
+    const view = { name, image, path, select, rate, plane, count: 0, total: 0, url: null, next: null, busy: false };
     frame.hidden = plane === "off";
     select.onchange = () => {
       view.plane = select.value;

@@ -12,3 +12,6 @@ export function element(tag, className, text) {
 export function text(node, value) {
   if (node.textContent !== value) node.textContent = value;
 }
+
+/** Whether an element takes letters itself: a text, or a list to choose from by them. A slider takes none. */
+export const takesLetters = ({ tagName, type }) => tagName === "SELECT" || (tagName === "INPUT" && type === "text");

@@ -19,7 +19,7 @@ export class Drives {
   show(news) {
     text(byId("time"), `${news.seconds.toFixed(2)} s`);
     news.arms.forEach((arm, index) => this.#arm(arm, index));
-    for (const bus of news.buses) this.#bus(bus);
+    this.buses(news.buses);
     const facts = [
       ["Episode", news.episode_s === null ? "not begun: a master has not enabled all drives" : `${news.episode_s.toFixed(1)} s`],
       ["Frames lost", String(news.frames_lost)],
@@ -66,9 +66,13 @@ export class Drives {
     row.error.hidden = !axis.error;
   }
 
-  #bus({ interface: name, load, frames }) {
-    const value = `${(load * 100).toFixed(1)} % busy, ${frames.toLocaleString("en").replaceAll(",", "\u202f")} frames`;
-    this.#fact(name, value, load > 0.8 ? "warn" : "");
+  /** Shows the buses of drives, or of a run whose arms are on some. */
+  buses(buses) {
+    document.body.toggleAttribute("data-buses", buses.length > 0);
+    for (const { interface: name, load, frames_per_s: rate, errors } of buses) {
+      const value = `${(load * 100).toFixed(1)} % busy, ${rate.toLocaleString("en").replaceAll(",", "\u202f")} frames/s, ${errors} errors and drops`;
+      this.#fact(name, value, load > 0.8 || errors > 0 ? "warn" : "");
+    }
   }
 
   #fact(name, value, mood = "") {

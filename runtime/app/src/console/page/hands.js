@@ -1,5 +1,7 @@
 // Devices that move a hand: keyboard, gamepad, mouse. Axes are the picture's: x to the right, y up, z towards the viewer.
 
+import { takesLetters } from "./dom.js";
+
 /** What each key does while the clutch is held: an axis of the way (m) or of the turn (rad), or the jaw. */
 const KEYS = {
   ArrowRight: ["way", 0, 1], ArrowLeft: ["way", 0, -1],
@@ -63,8 +65,7 @@ export class Keyboard {
 
   #press(event) {
     if (event.ctrlKey || event.altKey || event.metaKey) return;
-    // A list takes letters to choose by.
-    if (event.target.tagName === "SELECT") return;
+    if (takesLetters(event.target)) return;
     if (event.code !== CLUTCH_KEY && !(this.clutch && event.code in KEYS)) return;
     // With the clutch, arrows move the hand and not the page.
     event.preventDefault();

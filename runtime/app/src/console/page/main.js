@@ -58,6 +58,7 @@ const heard = {
     panels.state(state);
     operator.setSpeed(state.speed_percent);
     teleop.state(state.teleop);
+    drives.buses(state.buses ?? []);
     showPaths(state.paths ?? []);
     const arms = state.arms.map((arm) => `${arm.name} ${arm.state}${arm.fault ? `: ${arm.fault}` : ""}`);
     say([...arms, teleop.words()].filter(Boolean).join("; "));

@@ -1,6 +1,6 @@
 // The operator's buttons, slider and keys.
 
-import { byId } from "./dom.js";
+import { byId, takesLetters } from "./dom.js";
 
 export class Operator {
   #send;
@@ -82,9 +82,9 @@ export class Operator {
   #key(event) {
     if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
     if (byId("steering").hidden) return;
-    // A list takes letters to choose by; the slider takes none.
-    const rests = /^[ps]$/i.test(event.key);
-    if (/^(SELECT|TEXTAREA)$/.test(event.target.tagName) && !rests) return;
+    // While a list is chosen from, the arms can be brought to rest all the same.
+    const rests = /^[ps]$/i.test(event.key) && event.target.tagName === "SELECT";
+    if (takesLetters(event.target) && !rests) return;
     if (event.key === "+" || event.key === "-") {
       if (this.speed.disabled) return;
       const percent = Math.min(100, Math.max(1, Number(this.speed.value) + (event.key === "+" ? 10 : -10)));

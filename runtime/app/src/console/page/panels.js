@@ -1,5 +1,6 @@
 // What the newest state says, in numbers and meters.
 
+import { showCriteria } from "./criteria.js";
 import { byId, element, text } from "./dom.js";
 
 /** A list of facts whose entries stay where they are. */
@@ -33,14 +34,19 @@ const ago = (seconds) => (seconds === null ? "never" : seconds < 0.1 ? "now" : `
 const count = (value) => value.toLocaleString("en").replaceAll(",", "\u202f");
 const micro = (us) => (us >= 1000 ? `${(us / 1000).toFixed(1)} ms` : `${Math.round(us)} µs`);
 
+/** A change of the filter that is older says nothing of now, s. */
+const FRESH_S = 0.3;
+
 function meter(kind) {
   const root = element("div", `meter ${kind}`);
   if (kind === "velocity") root.append(element("i", "zero"));
+  const wanted = root.appendChild(element("i", "wanted"));
   const commanded = root.appendChild(element("i", "commanded"));
   const measured = root.appendChild(element("i", "measured"));
   measured.hidden = true;
   commanded.hidden = true;
-  return { root, measured, commanded };
+  wanted.hidden = true;
+  return { root, measured, commanded, wanted };
 }
 
 function place(mark, value, low, high) {
@@ -92,7 +98,10 @@ export class Panels {
   state(state) {
     if (!this.#facts) return;
     text(byId("time"), `${state.seconds.toFixed(2)} s`);
-    state.arms.forEach((arm, index) => this.#showArm(arm, this.#arms[index]));
+    state.arms.forEach((arm, index) => {
+      this.#showArm(arm, this.#arms[index]);
+      this.#showWanted(arm, this.#arms[index], state.filter, index);
+    });
     this.#showSafety(state);
     this.#showLoop(state);
     this.#showTask(state);
@@ -116,7 +125,7 @@ export class Panels {
       line.append(position.root, value, velocity.root, speed);
       place(velocity.root.querySelector(".zero"), 0, -1, 1);
       root.append(line);
-      return { axis, position, value, velocity, speed };
+      return { axis, line, position, value, velocity, speed };
     });
     byId("arms").append(root);
     return { chip, state, more, axes };
@@ -143,6 +152,23 @@ export class Panels {
       place(velocity.commanded, arm.commanded_velocity[i], -axis.velocity, axis.velocity);
       velocity.root.dataset.near = String(Math.abs(arm.commanded_velocity[i]) > 0.97 * axis.velocity);
       text(speed, `${unit(arm.commanded_velocity[i])}/s`);
+    });
+  }
+
+  /** What was wanted of each axis before the filter's newest change, and which axes its active rows hold. */
+  #showWanted(arm, view, filter, index) {
+    if (!view) return;
+    const fresh = filter.ago_s !== null && filter.ago_s < FRESH_S;
+    const rows = fresh ? filter.rows.filter((row) => row.startsWith(`${arm.name} `)) : [];
+    view.axes.forEach(({ axis, line, velocity }, i) => {
+      const change = fresh ? (filter.change[index * view.axes.length + i] ?? 0) : 0;
+      const changed = Math.abs(change) >= 0.005;
+      const wanted = arm.commanded_velocity[i] - change * axis.velocity;
+      place(velocity.wanted, changed ? wanted : null, -axis.velocity, axis.velocity);
+      // A bound of its own holds an axis, or a row in space through what it changed of it.
+      const holds = rows.filter((row) => (row.endsWith(" bound") ? row.startsWith(`${arm.name} ${axis.name},`) : changed));
+      line.dataset.held = String(holds.length > 0);
+      line.title = holds.join("; ");
     });
   }
 
@@ -176,6 +202,7 @@ export class Panels {
     const { timing } = state;
     this.#histogram("Tick compute", timing.compute);
     this.#histogram("Wake-up late by", timing.wake);
+    this.#histogram("Period", timing.period, this.#facts.period_buckets_us);
     this.loop.set("Ticks", count(state.counts.ticks));
     this.loop.set("Overruns (skipped periods)", count(timing.overruns), timing.overruns ? "warn" : "good");
     if (state.silent_s > 0.3) this.loop.set("Loop silent for", `${state.silent_s.toFixed(1)} s`, "bad");
@@ -185,17 +212,19 @@ export class Panels {
   #showTask(state) {
     const limit = this.#facts.time_limit_s;
     if (limit) this.task.set("Time", `${state.seconds.toFixed(1)} of ${limit} s`);
-    if (state.task) this.task.set("Still missing", state.task);
+    showCriteria(state.criteria ?? []);
     this.task.set("Chunks", count(state.counts.chunks));
     const latency = state.latency;
     const known = state.counts.chunks > 0;
     this.task.set("Observation to chunk", known ? `${micro(latency.newest_us)}, at most ${micro(latency.max_us)}` : "–");
+    const eye = state.teleop?.camera_to_page_ms;
+    if (eye) this.task.set("Camera to page", `${eye.p50.toFixed(0)} ms, 95 % within ${eye.p95.toFixed(0)} ms`);
     const follows = state.arms.map((arm) => (arm.follows ? "yes" : "no")).join(", ");
     this.task.set("Follows a chunk", follows);
     this.task.set("Speed limits", `${state.speed_percent} %`);
   }
 
-  #histogram(name, { counts, newest_us, max_us }) {
+  #histogram(name, { counts, newest_us, max_us }, buckets = this.#facts.buckets_us) {
     let view = this.#histograms.get(name);
     if (!view) {
       const root = element("div", "histogram");
@@ -203,7 +232,7 @@ export class Panels {
       const numbers = head.appendChild(element("span", "quiet"));
       const bars = root.appendChild(element("div", "bars"));
       const ends = root.appendChild(element("div", "ends"));
-      const all = [...this.#facts.buckets_us, null].map((end, i) => {
+      const all = [...buckets, null].map((end, i) => {
         const label = end === null ? "" : end >= 1000 ? `${end / 1000} ms` : `${end} µs`;
         ends.append(element("span", "", i % 3 === 0 ? label : ""));
         return bars.appendChild(element("i"));
@@ -215,7 +244,7 @@ export class Panels {
     const total = counts.reduce((sum, n) => sum + n, 0);
     const most = Math.max(1, ...counts);
     let below = 0;
-    const median = this.#facts.buckets_us[counts.findIndex((n) => (below += n) * 2 >= total)];
+    const median = buckets[counts.findIndex((n) => (below += n) * 2 >= total)];
     counts.forEach((n, i) => {
       // Roots make the rare ones visible.
       view.all[i].style.height = n ? `${Math.max(4, 100 * Math.sqrt(n / most))}%` : "0";

@@ -3,7 +3,7 @@
 import { Drag, Keyboard, Mover, VirtualHand, gamepads } from "./hands.js";
 import { Headset } from "./headset.js";
 import { SpaceMouse, canConnect } from "./spacemouse.js";
-import { byId } from "./dom.js";
+import { byId, takesLetters } from "./dom.js";
 
 // Fifty a second; the run lets go of what it does not hear of for a tenth of a second.
 const EVERY_MS = 20;
@@ -77,6 +77,8 @@ export class Teleop {
     this.#showDriver(status);
     this.#showArms(status.arms, status.driver);
     this.#showRecording(status.recording);
+    const label = byId("label");
+    if (document.activeElement !== label && label.value !== status.label) label.value = status.label;
   }
 
   /** In words what each arm does, for those who hear the page; while a policy drives there is nothing to say. */
@@ -109,6 +111,11 @@ export class Teleop {
     for (const button of document.querySelectorAll("#episode button")) {
       button.onclick = () => this.#send({ episode: button.dataset.episode });
     }
+    const label = byId("label");
+    label.oninput = () => this.#send({ label: label.value });
+    label.onkeydown = ({ key }) => {
+      if (key === "Enter" || key === "Escape") label.blur();
+    };
     byId("hand-back").onclick = () => this.#send({ hand_back: true });
     const connect = byId("connect-cap");
     connect.hidden = !canConnect();
@@ -123,7 +130,7 @@ export class Teleop {
   // Keys of the panel's buttons.
   #key(event) {
     if (event.ctrlKey || event.altKey || event.metaKey || event.repeat || byId("teleop").hidden) return;
-    if (event.target.tagName === "SELECT") return;
+    if (takesLetters(event.target)) return;
     const button = document.querySelector(`#teleop button[data-key="${CSS.escape(event.key.toLowerCase())}"]`);
     if (button && !button.disabled && !button.closest("[hidden]")) {
       event.preventDefault();

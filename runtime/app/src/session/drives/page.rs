@@ -13,6 +13,7 @@ use trocar_log::Level;
 use super::seen::{AxisSeen, Seen};
 use crate::console::Console;
 use crate::mailbox::MailboxReader;
+use crate::rig::can_traffic::Buses;
 
 /// Lines of what happened that a page has.
 const LINES_MAX: usize = 40;
@@ -25,7 +26,7 @@ pub(super) struct DrivesPage {
     console: Console,
     seen: MailboxReader<Seen>,
     spaces: [Option<Space>; ARMS_MAX],
-    interfaces: Vec<String>,
+    buses: Buses,
     lines: VecDeque<Line>,
     now: TimeNs,
     /// The drives at the beginning of the time that loads are taken over, and each bus's load in the one before.
@@ -80,6 +81,9 @@ struct BusNews<'a> {
     frames: u64,
     /// Share of the last second for which it was busy at its bit rate.
     load: f64,
+    /// What the kernel counts of its interface.
+    frames_per_s: f64,
+    errors: u64,
 }
 
 impl DrivesPage {
@@ -99,7 +103,7 @@ impl DrivesPage {
             seen,
             spaces: all,
             loads: vec![0.0; interfaces.len()],
-            interfaces,
+            buses: Buses::named(interfaces.iter()),
             lines: VecDeque::new(),
             now: TimeNs(0),
             before: None,
@@ -124,6 +128,7 @@ impl DrivesPage {
             return;
         };
         self.take_loads(&seen);
+        self.buses.look();
         self.now = seen.now;
         let news = self.news(&seen);
         let axes = |axis: &AxisNews| (axis.name, axis.position, axis.wanted);
@@ -143,11 +148,13 @@ impl DrivesPage {
                 axes: axes.collect(),
             })
         });
-        let buses = self.interfaces.iter().zip(&seen.busy).zip(&self.loads);
-        let buses = buses.map(|((interface, (_, frames)), load)| BusNews {
-            interface,
+        let buses = self.buses.all.iter().zip(&seen.busy).zip(&self.loads);
+        let buses = buses.map(|((bus, (_, frames)), load)| BusNews {
+            interface: &bus.name,
             frames: *frames,
             load: *load,
+            frames_per_s: bus.frames_per_s().round(),
+            errors: bus.errors,
         });
         let begun = seen.begun.map(|begun| seen.now.since(begun));
         News {

@@ -121,6 +121,9 @@ fn run_threads(
     let (observers, shown) = Observers::open(plan, child.as_deref(), console, &start)?;
     let (tick_log, side_log, log) = split(plan.open_log(false)?);
     let clock = MonotonicClock::new();
+    if let Some(console) = &plan.console {
+        console.follow(clock);
+    }
     let (local, remote) = wired(plan, source, child, chunk_in, clock);
     let simulation_thread = SimulationThread {
         simulation,

@@ -42,7 +42,7 @@ pub(super) fn show_task(
     let view = ConsoleView {
         to,
         frames: console.frames(),
-        missing: taps.task,
+        task: taps.task,
     };
     let cameras = ConsoleCameras::new(Views::new(console.frames(), scene), snapshots);
     Ok(Some((view, cameras)))
@@ -61,16 +61,17 @@ fn picture_of(task: &TaskConfig) -> Option<PictureFacts> {
     })
 }
 
-/// Shows a run without a simulation of its own.
+/// Shows a run without a simulation of its own, whose arms are on these interfaces with this bit rate, bit/s.
 pub(super) fn show_rig<S: Arms>(
     plan: &Plan<S>,
+    (interfaces, bit_rate): (Vec<String>, u32),
     (listener, port): (Option<&Listener>, &mut OperatorPort),
 ) {
     let title = plan
         .setup
         .task()
         .map_or("robot", |setup| setup.task_name.as_str());
-    let facts = facts_of(plan, title, Vec::new());
+    let facts = facts_of(plan, title, Vec::new()).on_buses(interfaces, bit_rate);
     let Some(console) = &plan.console else {
         return show_operator(facts, listener, port);
     };

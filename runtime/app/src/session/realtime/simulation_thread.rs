@@ -12,7 +12,7 @@ use trocar_world::tissue::TissueExtremes;
 use super::arm_states::StepStates;
 use super::camera_thread::Snapshot;
 use super::signals::{EndsRun, Signals};
-use crate::console::FrameTap;
+use crate::console::{BETWEEN_NS, FrameTap, TaskState};
 use crate::histogram::Histogram;
 use crate::mailbox::MailboxWriter;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
@@ -23,6 +23,12 @@ use trocar_log::Level;
 
 /// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
 const FRAME_EVERY_STEPS: u64 = 5;
+
+/// Ticks from one instant that the console sees to the next: thirty a second, as many as it hands on of a stream.
+const CONSOLE_TICKS: u64 = BETWEEN_NS / TICK_NS;
+
+/// Ticks that a picture for the console may take to be drawn; one that would still be at it when a policy asks is left out.
+const DRAWING_TICKS: u64 = 20;
 
 /// What is shown of a policy step, to whom, and when.
 pub(super) struct Shown {
@@ -46,8 +52,8 @@ pub(super) struct Shown {
 pub(super) struct ConsoleView {
     pub(super) to: MailboxWriter<Snapshot>,
     pub(super) frames: FrameTap,
-    /// What the task still lacks.
-    pub(super) missing: MailboxWriter<&'static str>,
+    /// How the task stands.
+    pub(super) task: MailboxWriter<TaskState>,
 }
 
 impl Shown {
@@ -75,22 +81,33 @@ impl Shown {
             }
         }
         if let Some(console) = &mut self.console {
-            console.missing.put(simulation.missing());
-        }
-        if let Some(console) = self.for_console(step) {
-            console.to.put(snapshot());
+            console.task.put(TaskState {
+                missing: simulation.missing(),
+                criteria: simulation.criteria(),
+            });
         }
         self.wakes.iter().for_each(Thread::unpark);
     }
 
-    /// The console's view, if a page looks at a camera and the policy's query does not come next: its frames come first.
-    fn for_console(&mut self, step: u64) -> Option<&mut ConsoleView> {
-        let next_is_query = |every| precedes_query(step, every, 1);
-        let busy = self.query_every_steps.is_some_and(next_is_query);
-        self.console
-            .as_mut()
-            .filter(|console| !busy && console.frames.wants_any())
+    /// Shows the console `tick`, whose instant is `stamp`, if it is its turn and a page looks at a camera.
+    fn show_console(&mut self, tick: u64, stamp: TimeNs, simulation: &Simulation) {
+        let turn = is_for_console(tick, self.query_every_steps);
+        let console = self.console.as_mut();
+        if let Some(console) = console.filter(|it| turn && it.frames.wants_any()) {
+            console.to.put(Snapshot {
+                step: tick / STEP_TICKS,
+                stamp,
+                scene: simulation.snapshot(),
+            });
+            self.wakes.iter().for_each(Thread::unpark);
+        }
     }
+}
+
+/// Whether the console sees `tick`, beside a policy process that is asked every so many steps: what it sees comes first.
+fn is_for_console(tick: u64, query_every_steps: Option<u64>) -> bool {
+    let asked = |every| precedes_query(tick, every * STEP_TICKS, DRAWING_TICKS);
+    tick.is_multiple_of(CONSOLE_TICKS) && !query_every_steps.is_some_and(asked)
 }
 
 /// The simulation thread before it runs.
@@ -202,6 +219,10 @@ impl SimulationThread {
         }
         let states = self.read(now)?;
         self.measured.put(states);
+        if !self.signals.done() {
+            let stamp = states.first.stamp;
+            self.shown.show_console(tick, stamp, &self.simulation);
+        }
         let (observes, asks) = (tick.is_multiple_of(STEP_TICKS), self.asks(tick, runs));
         let by_hand = self.intervention.is_some() && tick.is_multiple_of(CHUNK_TICKS);
         if self.signals.done() || !(observes || asks || by_hand) {
@@ -334,5 +355,18 @@ mod tests {
             assert_eq!(is_due(stamp, late, now), expected, "{late} behind {tick}");
         }
         assert!(is_due(stamp, 1, stamp));
+    }
+
+    /// A page sees 25 instants a second and more, also beside a policy process, whose frames none delays.
+    #[test]
+    fn the_console_has_a_pace_of_its_own() {
+        for every in [None, Some(25), Some(5), Some(4)] {
+            let shown = || (0..10_000).filter(|tick| is_for_console(*tick, every));
+            assert!((250..=304).contains(&shown().count()), "{every:?}");
+            let before_query = |tick: &u64| every.map_or(0, |every| tick % (every * STEP_TICKS));
+            let late =
+                |tick: &u64| every.is_some_and(|it| before_query(tick) > it * STEP_TICKS - 20);
+            assert_eq!(shown().find(late), None, "{every:?}");
+        }
     }
 }

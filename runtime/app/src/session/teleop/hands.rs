@@ -229,6 +229,11 @@ impl Hands {
         }
     }
 
+    /// Whoever steers has a picture before their eyes that was taken so long ago.
+    pub(crate) fn seen(&self, age_ns: u64) {
+        self.lock().counts.picture.record(age_ns);
+    }
+
     /// What moves now.
     pub(super) fn look(&self) -> Look {
         self.look_at(self.clock.now())
@@ -282,6 +287,24 @@ impl Hands {
         Ok(())
     }
 
+    /// The demonstration under way is called `text` in the dataset.
+    ///
+    /// # Errors
+    /// [`BadHands::NoRecording`] if nothing is recorded.
+    pub(crate) fn set_label(&self, text: String) -> Result<(), BadHands> {
+        let mut inner = self.lock();
+        if inner.recording.is_none() {
+            return Err(BadHands::NoRecording);
+        }
+        inner.label = text;
+        Ok(())
+    }
+
+    /// What the demonstration that has ended is called, if it is; the next one has no label.
+    pub(crate) fn take_label(&self) -> Option<String> {
+        Some(std::mem::take(&mut self.lock().label)).filter(|label| !label.is_empty())
+    }
+
     /// The newest wish, if there is one.
     pub(crate) fn take_wish(&self) -> Option<Wish> {
         self.lock().wish.take()
@@ -327,6 +350,8 @@ impl Hands {
             driver: inner.driver,
             arms: arms.collect(),
             recording: inner.recording,
+            label: inner.label.clone(),
+            camera_to_page_ms: inner.counts.camera_to_page_ms(),
         })
     }
 

@@ -40,6 +40,8 @@ pub(super) struct Held {
     pub(super) commanded: Option<MailboxReader<Commanded>>,
     pub(super) wish: Option<Wish>,
     pub(super) recording: Option<Recording>,
+    /// What the demonstration under way is called.
+    pub(super) label: String,
     pub(super) tips: [Option<(Pose, f64)>; ARMS_MAX],
     pub(super) counts: Counts,
 }

@@ -46,6 +46,8 @@ fn to_ns(ms: f64) -> u64 {
 pub(super) struct Counts {
     /// From a message's arrival to the first command that follows it, with what it was late by on its way.
     pub(super) command: Histogram,
+    /// From a picture's instant to the page's word that it is shown.
+    pub(super) picture: Histogram,
     /// Of pings to the page and back.
     pub(super) round_trip: Histogram,
     /// Messages that were followed or could have been.
@@ -65,6 +67,10 @@ pub struct TeleopSummary {
     /// message was late by against the quickest, and the way from its arrival to the tick. Absent if no hand was ever followed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hand_to_command_ms: Option<LatencyMs>,
+    /// From a picture's instant to its showing on the page that steers: what the page says of every fifth picture after the browser's
+    /// next frame began, less half the shortest round trip. Absent if none was shown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera_to_page_ms: Option<PictureMs>,
     /// The shortest way to the page and back, ms, if it was measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub round_trip_ms: Option<f64>,
@@ -81,6 +87,17 @@ pub struct TeleopSummary {
     pub interventions: Option<InterventionSummary>,
 }
 
+/// Ages of pictures, ms.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PictureMs {
+    /// Median.
+    pub p50: f64,
+    /// 95th percentile.
+    pub p95: f64,
+    /// 99th percentile.
+    pub p99: f64,
+}
+
 /// How an operator took over from a policy.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct InterventionSummary {
@@ -93,9 +110,23 @@ pub struct InterventionSummary {
 }
 
 impl Counts {
+    fn round_trip_ms(&self) -> Option<f64> {
+        (self.round_trip.count() > 0).then(|| milliseconds(self.round_trip.min()))
+    }
+
+    /// How old pictures were when they were shown.
+    pub(super) fn camera_to_page_ms(&self) -> Option<PictureMs> {
+        let back = self.round_trip_ms().unwrap_or(0.0) / 2.0;
+        let percentile = |share| (milliseconds(self.picture.percentile(share)) - back).max(0.0);
+        (self.picture.count() > 0).then(|| PictureMs {
+            p50: percentile(0.50),
+            p95: percentile(0.95),
+            p99: percentile(0.99),
+        })
+    }
+
     pub(super) fn summary(&self, scale: f64, beside_policy: bool) -> TeleopSummary {
-        let round_trip_ms =
-            (self.round_trip.count() > 0).then(|| milliseconds(self.round_trip.min()));
+        let round_trip_ms = self.round_trip_ms();
         let on_the_way = round_trip_ms.unwrap_or(0.0) / 2.0;
         let percentile = |share| milliseconds(self.command.percentile(share)) + on_the_way;
         TeleopSummary {
@@ -103,6 +134,7 @@ impl Counts {
                 p50: percentile(0.50),
                 p99: percentile(0.99),
             }),
+            camera_to_page_ms: self.camera_to_page_ms(),
             round_trip_ms,
             messages: self.messages,
             engagements: self.engagements,

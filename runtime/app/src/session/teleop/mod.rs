@@ -44,7 +44,7 @@ pub use demonstration::{Demonstration, Moment, Wish};
 pub(crate) use desk::attend;
 pub(crate) use hands::Hands;
 pub(crate) use intervention::{FromHands, Intervention};
-pub use latency::{InterventionSummary, TeleopSummary};
+pub use latency::{InterventionSummary, PictureMs, TeleopSummary};
 pub(crate) use message::{BadHands, HandsMessage};
 pub use operator::{DELAYS_MS, OperatorFigures, SimulatedOperator, TREMORS_MM};
 pub use source::Teleop;

@@ -4,6 +4,7 @@ use hal::Pose;
 use serde::Serialize;
 
 use super::Driver;
+use super::latency::PictureMs;
 
 /// What there is to show.
 #[derive(Clone, Debug, Serialize)]
@@ -15,6 +16,10 @@ pub(crate) struct TeleopStatus {
     pub(super) driver: Option<Driver>,
     pub(super) arms: Vec<ArmStatus>,
     pub(super) recording: Option<Recording>,
+    /// What the demonstration under way is called.
+    pub(super) label: String,
+    /// How old pictures are when the page that steers shows them.
+    pub(super) camera_to_page_ms: Option<PictureMs>,
 }
 
 /// One arm.

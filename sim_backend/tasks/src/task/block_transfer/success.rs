@@ -8,7 +8,7 @@ use trocar_world::block::BlockShape;
 
 use super::{BlockTransfer, BoardShape};
 use crate::task::judge::{Held, Limits, PressLimit, Safeguard};
-use crate::task::{Monitor, Outcome, Sight};
+use crate::task::{Criteria, Monitor, Outcome, Sight};
 
 /// What counts as a moved block, and what ends the episode at once.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -77,6 +77,8 @@ pub(super) struct SuccessMonitor {
     goal: [f64; 2],
     corner: Point3<f64>,
     before: Option<Pose>,
+    /// Highest speed of its ends in the newest step, m/s.
+    speed_m_s: f64,
     cleared: bool,
     held: Held,
     safeguard: Safeguard,
@@ -93,6 +95,7 @@ impl SuccessMonitor {
             goal,
             corner: Point3::new(block.corner_m, 0.0, 0.5 * block.height_m),
             before: None,
+            speed_m_s: f64::INFINITY,
             cleared: false,
             held: Held::default(),
             safeguard: Safeguard::new("block", "board", config.limits(), config.press),
@@ -118,25 +121,29 @@ impl SuccessMonitor {
     }
 
     /// Whether the block sits on the goal peg and no instrument touches it.
-    fn is_placed(&self, sight: &Sight, speed_m_s: f64) -> bool {
-        let pose = &sight.thing_in_scene;
+    fn placed(&self, sight: &Sight) -> Criteria {
+        let (pose, config) = (&sight.thing_in_scene, &self.config);
         let half = 0.5 * self.block.height_m;
-        let around = [-half, half].into_iter().all(|z| {
+        let aside_m = [-half, half].map(|z| {
             let end = pose * Point3::new(0.0, 0.0, z);
-            (end.x - self.goal[0]).hypot(end.y - self.goal[1]) <= self.config.around_m
+            (end.x - self.goal[0]).hypot(end.y - self.goal[1])
         });
+        let aside_m = aside_m[0].max(aside_m[1]);
+        let height_m = (pose.translation.z - half).abs();
         let up = (pose * Vector3::z()).z.clamp(-1.0, 1.0).acos();
         // A prism is as well placed upside down.
         let tilt_rad = up.min(core::f64::consts::PI - up);
         let grasp = &sight.grasps[0];
         let touched = grasp.left_force_n > 0.0 || grasp.right_force_n > 0.0;
         let away_m = (sight.tips_in_scene[0].translation.vector - pose.translation.vector).norm();
-        around
-            && (pose.translation.z - half).abs() <= self.config.height_m
-            && tilt_rad <= self.config.tilt_rad
-            && speed_m_s <= self.config.speed_m_s
-            && !touched
-            && away_m >= self.config.away_m
+        Criteria::default()
+            .so("lifted clear of the pegs", self.cleared)
+            .at_most("axis from the goal peg", "m", aside_m, config.around_m)
+            .at_most("from its height at rest", "m", height_m, config.height_m)
+            .at_most("tilt", "rad", tilt_rad, config.tilt_rad)
+            .at_most("speed", "m/s", self.speed_m_s, config.speed_m_s)
+            .so("not touched", !touched)
+            .at_least("tip away from it", "m", away_m, config.away_m)
     }
 
     /// Highest speed of the block's ends since the last step.
@@ -158,9 +165,9 @@ impl Monitor for SuccessMonitor {
         if let Some(end) = self.end(sight) {
             return end;
         }
-        let speed_m_s = self.speed_m_s(&sight.thing_in_scene);
+        self.speed_m_s = self.speed_m_s(&sight.thing_in_scene);
         self.cleared |= self.is_clear(sight);
-        let held = self.cleared && self.is_placed(sight, speed_m_s);
+        let held = self.cleared && self.placed(sight).are_met();
         self.held.outcome(held, self.config.hold_s)
     }
 
@@ -170,5 +177,11 @@ impl Monitor for SuccessMonitor {
         } else {
             "block not lifted clear of the pegs"
         }
+    }
+
+    fn criteria(&self, sight: &Sight) -> Criteria {
+        let (held_s, hold_s) = (self.held.seconds(), self.config.hold_s);
+        self.placed(sight)
+            .at_least("for so long", "s", held_s, hold_s)
     }
 }

@@ -10,7 +10,7 @@ use trocar_world::organ::Organ;
 
 use super::NeedleHandover;
 use crate::task::judge::{Held, Limits, PressLimit, Safeguard, is_off, seconds};
-use crate::task::{Monitor, Outcome, Sight};
+use crate::task::{Criteria, Monitor, Outcome, Sight};
 
 /// How long the needle may be between no arm's fingers before it counts as dropped, s: contacts flicker.
 const LOOSE_S: f64 = 0.02;
@@ -115,24 +115,29 @@ impl SuccessMonitor {
     fn is_held(&self, needle_in_scene: &Pose, holder: &Grasp, other: &Grasp) -> bool {
         let force_n = holder.left_force_n.min(holder.right_force_n);
         let alone = other.left_force_n <= 0.0 && other.right_force_n <= 0.0;
+        alone
+            && holder.both_touch
+            && force_n >= self.config.grip_force_n_min
+            && self.clearance_m(needle_in_scene) >= self.config.clearance_m
+    }
+
+    /// Free space between the wire and the organ at its lowest point, m.
+    fn clearance_m(&self, needle_in_scene: &Pose) -> f64 {
         let clearances_m = self.wire.iter().map(|point| {
             let point = needle_in_scene * point;
             point.z - self.organ.height_m(point.x, point.y) - self.needle.wire_radius_m
         });
-        alone
-            && holder.both_touch
-            && force_n >= self.config.grip_force_n_min
-            && clearances_m.fold(f64::INFINITY, f64::min) >= self.config.clearance_m
+        clearances_m.fold(f64::INFINITY, f64::min)
     }
 
-    /// Whether the giver's hand is away from the wire.
-    fn is_away(&self, needle_in_scene: &Pose, giver_tip: &Pose) -> bool {
+    /// How far the giver's hand is away from the wire, m.
+    fn away_m(&self, needle_in_scene: &Pose, giver_tip: &Pose) -> f64 {
         let tip = Point3::from(giver_tip.translation.vector);
         let distances_m = self
             .wire
             .iter()
             .map(|point| (needle_in_scene * point - tip).norm());
-        distances_m.fold(f64::INFINITY, f64::min) >= self.config.away_m
+        distances_m.fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -152,7 +157,7 @@ impl Monitor for SuccessMonitor {
         self.given &= seconds(self.loose_steps) < LOOSE_S;
         let taken = self.given
             && self.is_held(needle, taker, giver)
-            && self.is_away(needle, &sight.tips_in_scene[0]);
+            && self.away_m(needle, &sight.tips_in_scene[0]) >= self.config.away_m;
         self.held.outcome(taken, self.config.hold_s)
     }
 
@@ -161,6 +166,54 @@ impl Monitor for SuccessMonitor {
             "needle not taken away"
         } else {
             "needle not lifted"
+        }
+    }
+
+    fn criteria(&self, sight: &Sight) -> Criteria {
+        let (config, needle) = (&self.config, &sight.thing_in_scene);
+        let (giver, taker) = (&sight.grasps[0], &sight.grasps[1]);
+        let (holder, other) = if self.given {
+            (taker, giver)
+        } else {
+            (giver, taker)
+        };
+        let force_n = holder.left_force_n.min(holder.right_force_n);
+        let alone = other.left_force_n <= 0.0 && other.right_force_n <= 0.0;
+        let clearance_m = self.clearance_m(needle);
+        let all = Criteria::default()
+            .so("lifted by the first arm", self.given)
+            .so(
+                if self.given {
+                    "between the second arm's fingers"
+                } else {
+                    "between the first arm's fingers"
+                },
+                holder.both_touch,
+            )
+            .at_least(
+                "force of each finger",
+                "N",
+                force_n,
+                config.grip_force_n_min,
+            )
+            .so("not touched by the other arm", alone)
+            .at_least(
+                "wire clear of the organ",
+                "m",
+                clearance_m,
+                config.clearance_m,
+            );
+        if self.given {
+            let away_m = self.away_m(needle, &sight.tips_in_scene[0]);
+            all.at_least("first arm away from the wire", "m", away_m, config.away_m)
+                .at_least("for so long", "s", self.held.seconds(), config.hold_s)
+        } else {
+            all.at_least(
+                "for so long",
+                "s",
+                seconds(self.given_steps),
+                config.given_s,
+            )
         }
     }
 }

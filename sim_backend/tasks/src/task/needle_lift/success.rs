@@ -9,7 +9,7 @@ use trocar_world::needle::NeedleShape;
 use trocar_world::organ::Organ;
 
 use crate::task::judge::{Held, Limits, PressLimit, Safeguard, is_off};
-use crate::task::{Monitor, Outcome, Sight};
+use crate::task::{Criteria, Monitor, Outcome, Sight};
 
 /// What counts as a lifted needle, and what ends the episode at once.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -125,6 +125,35 @@ impl Monitor for SuccessMonitor {
 
     fn missing(&self) -> &'static str {
         "needle not lifted"
+    }
+
+    fn criteria(&self, sight: &Sight) -> Criteria {
+        let (config, grasp) = (&self.config, &sight.grasps[0]);
+        let middle = sight.thing_in_scene * self.middle;
+        let height_m = middle.z - self.organ.height_m(middle.x, middle.y);
+        let clearance_m = self.clearance_m(&sight.thing_in_scene);
+        let force_n = grasp.left_force_n.min(grasp.right_force_n);
+        Criteria::default()
+            .so("between both fingers", grasp.both_touch)
+            .at_least(
+                "force of each finger",
+                "N",
+                force_n,
+                config.grip_force_n_min,
+            )
+            .at_least(
+                "height above the organ",
+                "m",
+                height_m,
+                config.lift_height_m,
+            )
+            .at_least(
+                "wire clear of the organ",
+                "m",
+                clearance_m,
+                config.clearance_m,
+            )
+            .at_least("for so long", "s", self.held.seconds(), config.hold_s)
     }
 }
 

@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::{PadShape, SuturePad};
 use crate::task::judge::{Held, Limits, PressLimit, Safeguard};
-use crate::task::{Monitor, Outcome, Sight};
+use crate::task::{Criteria, Monitor, Outcome, Sight};
 
 /// What counts as a needle through the hole, and what ends the episode at once.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -124,5 +124,22 @@ impl Monitor for SuccessMonitor {
 
     fn missing(&self) -> &'static str {
         "needle not through the hole"
+    }
+
+    fn criteria(&self, sight: &Sight) -> Criteria {
+        let (config, needle) = (&self.config, &sight.thing_in_scene);
+        let behind_m = (needle * self.wire[WIRE_POINTS - 1]).y - self.pad.lip_back_m();
+        Criteria::default()
+            .at_least(
+                "needle's point behind the lip",
+                "m",
+                behind_m,
+                config.through_m,
+            )
+            .so(
+                "wire through the hole from before it",
+                self.is_through(needle),
+            )
+            .at_least("for so long", "s", self.held.seconds(), config.hold_s)
     }
 }

@@ -2,10 +2,11 @@
 
 use trocar_world::tissue::{Retraction, RetractionConfig, RetractionMonitor};
 
-use crate::task::{Monitor, Outcome, Reason, Sight};
+use crate::task::{Criteria, Monitor, Outcome, Reason, Sight};
 
 /// Watches the flap.
 pub(super) struct SuccessMonitor {
+    config: RetractionConfig,
     flap: RetractionMonitor,
 }
 
@@ -13,6 +14,7 @@ impl SuccessMonitor {
     /// A monitor at the start of an episode.
     pub(super) fn new(config: &RetractionConfig) -> Self {
         Self {
+            config: config.clone(),
             flap: RetractionMonitor::new(config),
         }
     }
@@ -35,5 +37,27 @@ impl Monitor for SuccessMonitor {
 
     fn missing(&self) -> &'static str {
         "flap not held up at its mark"
+    }
+
+    fn criteria(&self, sight: &Sight) -> Criteria {
+        let Some(report) = &sight.tissue else {
+            return Criteria::default();
+        };
+        let config = &self.config;
+        let beside_m = report
+            .grasp
+            .map_or(f64::INFINITY, |grasp| grasp.beside_mark_m);
+        // A sum of milliseconds.
+        let held_s = (self.flap.held_s() * 1e3).round() / 1e3;
+        Criteria::default()
+            .so("flap in a jaw", report.grasp.is_some())
+            .at_most("from the mark", "m", beside_m, config.mark_distance_m)
+            .at_least(
+                "mark above where it lay",
+                "m",
+                report.mark_rise_m,
+                config.lift_height_m,
+            )
+            .at_least("for so long", "s", held_s, config.hold_s)
     }
 }

@@ -82,6 +82,16 @@ impl CanOptions {
         };
         Ok((options, source.text().to_owned()))
     }
+
+    /// The interfaces of the first `arms` arms, each once, and their bit rate, bit/s.
+    fn buses(&self, arms: usize) -> (Vec<String>, u32) {
+        let arms = self.config.arms.iter().take(arms);
+        let rate = arms.clone().map(|arm| arm.plan.bit_rate).max();
+        let mut interfaces: Vec<String> = arms.flat_map(|arm| arm.interfaces.clone()).collect();
+        interfaces.sort_unstable();
+        interfaces.dedup();
+        (interfaces, rate.unwrap_or(0))
+    }
 }
 
 /// What there is before anything is waited for.
@@ -210,8 +220,9 @@ impl Begun<'_> {
         let ready = bring_up(can, self.buses, say)?;
         awaited::still_there(&mut cameras, clock, &can.topics, say)?;
         let mut wires = Wires::new((plan.open_log(false)?, plan.console.as_ref()), clock);
-        show_rig(plan, (wires.listener.as_ref(), &mut wires.control.operator));
         let robot = plan.setup.robot();
+        let port = (wires.listener.as_ref(), &mut wires.control.operator);
+        show_rig(plan, can.buses(robot.arms()), port);
         let reports = arm_reports(&node, robot.arms(), child.is_some())?;
         let (local, remote) = wired(plan, source, child.as_mut(), wires.chunk_in, clock);
         let watching = Watching {

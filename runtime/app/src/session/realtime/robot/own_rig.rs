@@ -38,7 +38,8 @@ pub fn run_rig<R: Rig + Send>(
     source.reset(plan.seed);
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
     let mut wires = Wires::new((plan.open_log(false)?, plan.console.as_ref()), clock);
-    show_rig(plan, (wires.listener.as_ref(), &mut wires.control.operator));
+    let port = (wires.listener.as_ref(), &mut wires.control.operator);
+    show_rig(plan, (Vec::new(), 0), port);
     let ControlWires {
         measured,
         chunks,

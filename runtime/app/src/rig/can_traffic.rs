@@ -1,0 +1,213 @@
+//! Frames on the CAN interfaces of this machine, as its kernel counts them.
+
+use std::collections::VecDeque;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use hal::TimeNs;
+
+use crate::rt::MonotonicClock;
+
+/// Bits of a frame without data, and of each byte that it carries, with as many stuff bits as there can be.
+const FRAME_BITS: u64 = 55;
+const BYTE_BITS: u64 = 10;
+
+/// The kernel's number of CAN among kinds of interfaces, `ARPHRD_CAN`.
+const CAN: &str = "280";
+
+/// Rates are over this long, ns.
+const OVER_NS: u64 = 1_000_000_000;
+
+/// Some CAN interfaces.
+#[derive(Debug)]
+pub(crate) struct Buses {
+    pub(crate) all: Vec<Bus>,
+    clock: MonotonicClock,
+}
+
+/// One interface.
+#[derive(Debug)]
+pub(crate) struct Bus {
+    pub(crate) name: String,
+    folder: PathBuf,
+    /// Whether it has no wire: whatever is sent on it is counted as received too.
+    is_virtual: bool,
+    /// What was counted at some instants, oldest first.
+    counted: VecDeque<(TimeNs, Count)>,
+    /// Errors and dropped frames.
+    pub(crate) errors: u64,
+}
+
+/// What has passed since the interface is there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Count {
+    frames: u64,
+    /// Of their data.
+    bytes: u64,
+}
+
+impl Buses {
+    /// Those that are there.
+    pub(crate) fn find() -> Self {
+        let entries = fs::read_dir("/sys/class/net").into_iter().flatten();
+        let all = entries.flatten().filter_map(|entry| Bus::at(&entry.path()));
+        let mut all: Vec<Bus> = all.collect();
+        all.sort_by(|one, other| one.name.cmp(&other.name));
+        Self {
+            all,
+            clock: MonotonicClock::new(),
+        }
+    }
+
+    /// Those called `names`, whether they are there or not.
+    pub(crate) fn named<'a>(names: impl Iterator<Item = &'a String>) -> Self {
+        Self {
+            all: names
+                .map(|name| Bus::of(&Path::new("/sys/class/net").join(name)))
+                .collect(),
+            clock: MonotonicClock::new(),
+        }
+    }
+
+    /// Counts.
+    pub(crate) fn look(&mut self) {
+        let now = self.clock.now();
+        self.all.iter_mut().for_each(|bus| bus.look(now));
+    }
+}
+
+impl Bus {
+    fn at(folder: &Path) -> Option<Self> {
+        let kind = fs::read_to_string(folder.join("type")).ok()?;
+        (kind.trim() == CAN).then(|| Self::of(folder))
+    }
+
+    fn of(folder: &Path) -> Self {
+        let name = folder.file_name().unwrap_or_default();
+        Self {
+            name: name.to_string_lossy().into_owned(),
+            folder: folder.join("statistics"),
+            is_virtual: !folder.join("device").exists(),
+            counted: VecDeque::new(),
+            errors: 0,
+        }
+    }
+
+    fn count(&self, names: &[&str]) -> u64 {
+        let read = |name: &&str| fs::read_to_string(self.folder.join(name)).ok();
+        let texts = names.iter().filter_map(read);
+        texts
+            .filter_map(|text| text.trim().parse::<u64>().ok())
+            .sum()
+    }
+
+    fn look(&mut self, now: TimeNs) {
+        let ways = if self.is_virtual { 1 } else { 2 };
+        let count = Count {
+            frames: self.count(&["tx_packets", "rx_packets"][..ways]),
+            bytes: self.count(&["tx_bytes", "rx_bytes"][..ways]),
+        };
+        self.errors = self.count(&["rx_errors", "tx_errors", "rx_dropped", "tx_dropped"]);
+        self.note(now, count);
+    }
+
+    fn note(&mut self, now: TimeNs, count: Count) {
+        self.counted.push_back((now, count));
+        while let Some((second, _)) = self.counted.get(1)
+            && now.since(*second) >= OVER_NS
+        {
+            self.counted.pop_front();
+        }
+    }
+
+    /// Frames a second, both ways; 0 before there are two counts.
+    pub(crate) fn frames_per_s(&self) -> f64 {
+        self.per_s(|count| count.frames)
+    }
+
+    /// Share of the time for which frames keep a bus of `bit_rate` bits a second busy, with as many stuff bits as there can be.
+    pub(crate) fn load(&self, bit_rate: u32) -> f64 {
+        let bits = |count: &Count| FRAME_BITS * count.frames + BYTE_BITS * count.bytes;
+        self.per_s(bits) / f64::from(bit_rate.max(1))
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "bits of a second or so")]
+    fn per_s(&self, of: impl Fn(&Count) -> u64) -> f64 {
+        let (Some((then, before)), Some((now, newest))) =
+            (self.counted.front(), self.counted.back())
+        else {
+            return 0.0;
+        };
+        let seconds = TimeNs(now.since(*then)).seconds();
+        if seconds > 0.0 {
+            of(newest).saturating_sub(of(before)) as f64 / seconds
+        } else {
+            0.0
+        }
+    }
+
+    #[cfg(test)]
+    pub(crate) fn counted(name: &str, counts: &[(u64, u64)]) -> Self {
+        let mut bus = Self::of(Path::new(name));
+        for (ms, frames) in counts {
+            let (frames, bytes) = (*frames, 8 * frames);
+            bus.note(TimeNs(ms * 1_000_000), Count { frames, bytes });
+        }
+        bus
+    }
+
+    #[cfg(test)]
+    pub(crate) fn all(buses: Vec<Self>) -> Buses {
+        Buses {
+            all: buses,
+            clock: MonotonicClock::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is sent on an interface without a wire is counted once, and the load is that of frames with most stuff bits.
+    #[test]
+    fn frames_load_and_errors_are_the_kernels() {
+        let folder = std::env::temp_dir().join(format!("trocar-traffic-{}", std::process::id()));
+        let statistics = folder.join("can7/statistics");
+        fs::create_dir_all(&statistics).unwrap();
+        let write = |frames: u64, errors: u64| {
+            for way in ["rx", "tx"] {
+                for (of, value) in [
+                    ("packets", frames),
+                    ("bytes", 8 * frames),
+                    ("errors", errors),
+                ] {
+                    fs::write(statistics.join(format!("{way}_{of}")), format!("{value}\n"))
+                        .unwrap();
+                }
+            }
+        };
+        for (wired, times) in [(false, 1.0), (true, 2.0)] {
+            if wired {
+                fs::create_dir(folder.join("can7/device")).unwrap();
+            }
+            let mut bus = Bus::of(&folder.join("can7"));
+            for (second, frames) in [(0, 0), (1, 2000)] {
+                write(frames, 3 * second);
+                bus.look(TimeNs(second * 1_000_000_000));
+            }
+            assert!((bus.frames_per_s() - times * 2000.0).abs() < 1e-6);
+            assert!((bus.load(1_000_000) - times * 0.27).abs() < 1e-9, "{bus:?}");
+            assert_eq!((bus.name.as_str(), bus.errors), ("can7", 6));
+        }
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_frame_has_at_most_so_many_bits() {
+        for bytes in 0..=8 {
+            let most = FRAME_BITS + BYTE_BITS * u64::from(bytes);
+            assert_eq!(most, u64::from(trocar_canopen::bus_load::bits::most(bytes)));
+        }
+    }
+}
