@@ -157,7 +157,7 @@ impl Source {
         })
     }
 
-    /// The same text with the lines `more` at its end if there is nothing at the dotted `key`.
+    /// The same text with the lines `more`, a table's, in that table or else at its end, if there is nothing at the dotted `key`.
     #[must_use]
     pub fn or_with(self, key: &str, more: &str) -> Self {
         let document = DeTable::parse(&self.text).ok();
@@ -172,7 +172,19 @@ impl Source {
         if found {
             return self;
         }
-        let text = format!("{}\n{more}", self.text.trim_end());
+        let (table, keys) = more.split_once('\n').unwrap_or((more, ""));
+        let mut lines = self.text.split_inclusive('\n');
+        let mut end = 0;
+        let has_table = lines.any(|line| {
+            end += line.len();
+            line.trim() == table
+        });
+        let mut text = self.text;
+        if has_table {
+            text.insert_str(end, keys);
+        } else {
+            text = format!("{}\n{more}", text.trim_end());
+        }
         Self { text, ..self }
     }
 

@@ -20,16 +20,16 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-use hal::TimeNs;
+use hal::{Chunk, TimeNs};
 use performer::{Asks, Manner, Performer};
 use tests::{Profile, alone, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar::session::operator::{Ask, Command as Operator, ask};
 use trocar_control::OperatorEvent;
 use trocar_control::kinematics::forward;
-use trocar_log::RunLog;
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
+use trocar_log::{LoggedTick, RunLog};
 
 const CHECKPOINT: &str = "config/policies/needle-lift/act-compact";
 const MS_NS: u64 = 1_000_000;
@@ -48,11 +48,23 @@ struct Run {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Seen {
     enabled: bool,
+    faulty: bool,
     moves: bool,
 }
 
 impl Run {
     fn start(test: &str, policy: &str, restarts: u32, log: Option<&Path>) -> Self {
+        Self::start_with(test, policy, restarts, log, &[])
+    }
+
+    /// With these options besides.
+    fn start_with(
+        test: &str,
+        policy: &str,
+        restarts: u32,
+        log: Option<&Path>,
+        more: &[&str],
+    ) -> Self {
         let folder = scratch(test);
         let log = log.map_or_else(|| folder.join("run.mcap"), Path::to_path_buf);
         let mut process = trocar(Profile::Debug)
@@ -61,7 +73,9 @@ impl Run {
             .args(["--set", &format!("control.policy.restarts={restarts}")])
             // A network that is started anew must not be done before it is seen to go on.
             .args(["--set", "scene.success.hold_s=10"])
-            .args(["--set", "control.policy.backoff_s=0.2", "--log"])
+            .args(["--set", "control.policy.backoff_s=0.2"])
+            .args(more)
+            .arg("--log")
             .arg(&log)
             .arg("--json")
             .arg(folder.join("run.json"))
@@ -97,6 +111,7 @@ impl Run {
         let arm = answer["arms"].get(0)?;
         Some(Seen {
             enabled: arm["state"] == "ENABLED",
+            faulty: arm["state"] == "FAULT",
             moves: arm["busy"] == true,
         })
     }
@@ -199,9 +214,7 @@ impl Run {
         assert!(replayed.identical, "{:?}", replayed.first_difference);
         let verified = verify(&log).unwrap();
         assert!(verified.ok, "{:?}", verified.violations);
-        let (last, _) = log.ticks().last().unwrap();
-        let told = last.arms.first.command;
-        assert!(told.enabled && told.velocity.amax() <= 0.0, "{told:?}");
+        expect_rest(&log);
         log
     }
 }
@@ -211,6 +224,24 @@ impl Drop for Run {
         let _gone = self.process.kill();
         let _reaped = self.process.wait();
     }
+}
+
+/// The log ends with an arm at rest that has no torque; its drive lost it while it rested, unless the arm holds with a fault.
+fn expect_rest(log: &RunLog) {
+    let (last, _) = log.ticks().last().unwrap();
+    let told = last.arms.first.command;
+    assert!(told.velocity.amax() <= 0.0, "{told:?}");
+    let mut changes = log
+        .events
+        .iter()
+        .filter(|event| event.contains("psm1: ") && event.contains(" to "));
+    let last = changes.next_back().unwrap();
+    let faulty = last.contains(" to FAULT");
+    assert!(
+        faulty || last.contains("psm1: PAUSED to DISABLED"),
+        "{last}"
+    );
+    assert_eq!(told.enabled, faulty, "{told:?}");
 }
 
 fn send(signal: &str, process: u32) {
@@ -226,31 +257,67 @@ fn row(fault: &str, seen: &str, (paused, rests): (Option<u64>, u64), recovery: &
     println!("| {fault} | {seen} | {paused} | {rests} ms | held | {recovery} |");
 }
 
-/// How an arm went on after it was paused: the distance of the first target that it was given to where it was, mm. It
-/// was at rest, and nothing acted on it that answers an observation from before.
-fn resumed_mm(log: &RunLog) -> f64 {
+/// How far a target that ends a hold may be from the arm, mm: the gate's own limit.
+const RESUME_MM: f64 = 10.0;
+
+/// The log's ticks from the one that ends the run's hold, which began with an arm that came to rest. Nothing is given to the arm that answers
+/// an observation from before the hold.
+fn after_hold(log: &RunLog) -> Vec<(&LoggedTick, Option<&Chunk>)> {
     let asked = |event: OperatorEvent| {
-        move |(tick, _): &(&trocar_log::LoggedTick, _)| tick.arms.first.operator == Some(event)
+        let mut ticks = log.ticks();
+        ticks.position(|(tick, _)| tick.arms.first.operator == Some(event))
     };
-    let (paused, _) = log.ticks().find(asked(OperatorEvent::Pause)).unwrap();
-    let resumes = log.ticks().position(|it| asked(OperatorEvent::Resume)(&it));
-    let after = || log.ticks().skip(resumes.unwrap());
-    let (resumed, _) = after().next().unwrap();
-    let rests = resumed.arms.first.command;
+    let held = asked(OperatorEvent::Pause).unwrap();
+    let goes_on = asked(OperatorEvent::GoOn).unwrap();
+    let (held, _) = log.ticks().nth(held).unwrap();
+    let after: Vec<_> = log
+        .ticks()
+        .skip(goes_on)
+        .map(|(tick, chunk)| (tick, chunk.first))
+        .collect();
+    let rests = after[0].0.arms.first.command;
     assert!(rests.velocity.amax() <= 1e-3, "{rests:?}");
-    let given = || after().filter_map(|(tick, chunk)| Some((tick, chunk.first?)));
-    for (_, chunk) in given() {
-        assert!(chunk.observed_at > paused.now, "{chunk:?}");
+    for chunk in after.iter().filter_map(|(_, chunk)| *chunk) {
+        assert!(chunk.observed_at > held.now, "{chunk:?}");
     }
-    let (tick, chunk) = given().next().unwrap();
+    after
+}
+
+/// How far the target of `chunk` that is due is from the tip that is commanded, mm.
+fn away_mm(tick: &LoggedTick, chunk: &Chunk) -> f64 {
     let age = TimeNs(tick.now.since(chunk.observed_at));
     let due = usize::try_from(age.0 / chunk.step_ns).unwrap();
     let due = chunk.valid_targets().get(due).unwrap().tip_in_rcm();
-    let tip = forward(&rests.position);
-    let away_m = (due.translation.vector - tip.translation.vector).norm();
-    let fastest = after().map(|(tick, _)| tick.arms.first.command.velocity.amax());
+    let tip = forward(&tick.arms.first.command.position);
+    (due.translation.vector - tip.translation.vector).norm() * 1e3
+}
+
+/// How an arm went on after it was held: the distance of the first target that it was given to where it was, mm, which the gate limits.
+fn resumed_mm(log: &RunLog) -> f64 {
+    let after = after_hold(log);
+    let mut given = after
+        .iter()
+        .filter_map(|(tick, chunk)| Some((tick, (*chunk)?)));
+    let (tick, chunk) = given.next().unwrap();
+    let away_mm = away_mm(tick, chunk);
+    assert!(away_mm <= RESUME_MM, "{away_mm}");
+    let fastest = after
+        .iter()
+        .map(|(tick, _)| tick.arms.first.command.velocity.amax());
     assert!(fastest.fold(0.0, f64::max) > 0.01, "it moves again");
-    away_m * 1e3
+    away_mm
+}
+
+/// How far the nearest of the targets was that moved nothing after a hold, mm.
+fn refused_mm(log: &RunLog) -> f64 {
+    let rests = |tick: &LoggedTick| tick.arms.first.command.velocity.amax() <= 1e-3;
+    let after = after_hold(log);
+    let at_rest = after.iter().take_while(|(tick, _)| rests(tick));
+    let given = at_rest.filter_map(|(tick, chunk)| Some(away_mm(tick, (*chunk)?)));
+    let given: Vec<f64> = given.collect();
+    // The last one is followed.
+    let refused = given.split_last().unwrap().1;
+    refused.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
 /// Our own policy process is killed, and hangs: the arm holds until it is there again, and goes on from where it is.
@@ -367,6 +434,41 @@ fn bad_answers_bring_the_arm_to_rest_until_a_good_one_comes() {
             "goes on with the next good chunk",
         );
     }
+}
+
+/// A policy that comes back and asks for what is 30 mm away is refused by name and moves nothing, until it begins where the arm is.
+#[test]
+fn a_policy_that_comes_back_elsewhere_is_refused() {
+    let _turn = alone();
+    let topics = format!("faults-{}-elsewhere", std::process::id());
+    let performer = Performer::appear(&topics);
+    let mut run = Run::start("faults-elsewhere", &format!("external:{topics}"), 1, None);
+    drop(performer);
+    let times = run.stops();
+    let performer = Performer::appear(&topics);
+    performer.behave(Manner::Elsewhere);
+    run.until("it is no longer held", |seen| seen.enabled);
+    sleep_ns(1500 * MS_NS);
+    run.until("it is seen", |seen| {
+        assert!(seen.enabled && !seen.moves);
+        true
+    });
+    performer.behave(Manner::Good);
+    run.until("it goes on", |seen| seen.enabled && seen.moves);
+    let (log, result) = run.interrupted();
+    assert!(result["policy"]["refused"].as_u64().unwrap() > 0);
+    let named = "psm1: chunks are refused: they do not start where the arm was held";
+    let told = log.events.iter().filter(|event| event.contains(named));
+    assert_eq!(told.count(), 1, "{:?}", log.events);
+    let nearest_mm = refused_mm(&log);
+    assert!(nearest_mm > 1.5 * RESUME_MM, "{nearest_mm}");
+    let fault = "external policy comes back 30 mm away";
+    row(
+        fault,
+        "`they do not start where the arm was held`",
+        times,
+        "goes on with the first chunk that starts where the arm is",
+    );
 }
 
 /// An external policy that leaves may come back, and the arm goes on from where it is; without restarts the run ends.

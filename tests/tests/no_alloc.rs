@@ -201,6 +201,7 @@ impl<const ARMS: usize> Rig<ARMS> {
             OperatorEvent::Speed { percent: 30 },
             OperatorEvent::Pause,
             OperatorEvent::Resume,
+            OperatorEvent::GoOn,
         ] {
             let (_, requests) = self.all(Event {
                 operator: Some(operator),

@@ -221,7 +221,7 @@ fn expect_a_stop(log: &RunLog) {
             .fold(0.0, f64::max);
         assert!(fastest > 0.01, "arm {arm} never moved: {fastest}");
         let told = last.command;
-        assert!(told.enabled, "arm {arm} was let go");
+        assert!(!told.enabled, "arm {arm} has torque");
         assert!(told.velocity.amax() <= 0.0, "arm {arm}: {told:?}");
         assert!(told.jaw_velocity.abs() <= 0.0, "arm {arm}: {told:?}");
     }
@@ -246,6 +246,42 @@ fn expert_lifts_the_needle_and_the_log_verifies() {
         success
     });
     assert!(lifted);
+}
+
+/// A run that nobody asked to keep a log keeps it, and one that is refused leaves nothing.
+#[test]
+fn a_simulated_run_keeps_its_log_unasked() {
+    let _turn = alone();
+    let folder = scratch("realtime-unasked");
+    let run = |more: &[&str]| {
+        let mut run = trocar(Profile::Debug);
+        run.env("XDG_STATE_HOME", &folder);
+        run.args(["run", "--task", "needle-lift", "--policy", "random"]);
+        run.args(["--set", "scene.episode.time_limit_s=1"]);
+        let output = run.args(more).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        (output.status.code(), said)
+    };
+    let kept = folder.join("trocar/black-box/simulation.mcap");
+    let (code, said) = run(&[
+        "--set",
+        "realtime.strict=true",
+        "--set",
+        "realtime.control.cpu=1000",
+    ]);
+    assert_eq!((code, kept.exists()), (Some(1), false), "{said}");
+    let (code, said) = run(&["--no-log"]);
+    assert_eq!((code, kept.exists()), (Some(1), false), "{said}");
+    let (code, said) = run(&[]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains("simulation.mcap; --log FILE keeps all of it"),
+        "{said}"
+    );
+    let log = RunLog::open(&kept).unwrap();
+    assert!(log.cut().is_none() && log.tick_count() > 500, "{said}");
+    assert!(replay(&log).unwrap().identical && verify(&log).unwrap().ok);
+    fs::remove_dir_all(folder).unwrap();
 }
 
 /// A run that insists on a core that is not there ends before it begins, and one that does not says what it went without.

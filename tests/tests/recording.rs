@@ -212,3 +212,32 @@ fn killed_recording_resumes_to_the_same_dataset() {
     }
     other_recordings_are_refused(&folder, &cut);
 }
+
+/// Two eyes are recorded, which see different pictures, and go out under Open-H's names.
+#[test]
+fn two_eyes_are_recorded_and_exported() {
+    let folder = scratch("record-stereo");
+    let (ours, theirs) = (folder.join("ours"), folder.join("theirs"));
+    finish(recording(&folder, &ours, 1, &["--stereo"]));
+    let info = json(&ours.join("meta/info.json"));
+    for eye in ["endoscope", "endoscope_right"] {
+        let feature = format!("observation.images.{eye}");
+        assert!(info["features"][&feature].is_object(), "{info}");
+    }
+    let dataset = Dataset::open(&ours).unwrap();
+    let [left, right] = [0, 1].map(|camera| dataset.image_rgb(0, camera).unwrap());
+    assert_eq!(left.len(), right.len());
+    assert_ne!(left, right);
+    let mut export = trocar(Profile::Debug);
+    export
+        .args(["export", "open-h"])
+        .arg(&ours)
+        .arg("--out")
+        .arg(&theirs);
+    finish(export);
+    let info = json(&theirs.join("meta/info.json"));
+    for eye in ["left", "right"] {
+        let feature = format!("observation.images.endoscope.{eye}");
+        assert_eq!(info["features"][&feature]["dtype"], "video", "{info}");
+    }
+}

@@ -126,6 +126,7 @@ impl ArmControl {
                 self.aggregator.clear();
                 self.gate.begin_anew(now);
             }
+            OperatorEvent::GoOn => self.gate.go_on(),
             OperatorEvent::Enable
             | OperatorEvent::Disable
             | OperatorEvent::Pause

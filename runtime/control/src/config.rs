@@ -46,6 +46,8 @@ pub struct ControlConfig {
     pub margins: Margins,
     /// Deviation of the measured tip from the commanded one at which the controller faults.
     pub following_error_max: FollowingError,
+    /// Whether a run in real time ends with a fault, or its arms hold until the operator clears it. For whoever calls the controller.
+    pub fault_ends_run: bool,
     /// What becomes of a policy process that dies or hangs. The controller knows no processes: it is for whoever calls it.
     pub supervision: Supervision,
     /// Measured closing effort of the jaw at which it closes no further, N m.
@@ -65,6 +67,8 @@ pub struct Supervision {
     pub backoff_ns: u64,
     /// How long it may take to be ready again, and an external policy to come back, ns.
     pub return_ns: u64,
+    /// For how long a camera of a robot may show the very same pixels, however often it stamps them, ns; any time if not given.
+    pub frozen_ns: Option<u64>,
 }
 
 /// The safety filter's numbers.
@@ -185,6 +189,7 @@ impl ControlConfig {
                 tip_m: file.fault.tracking_tip_m,
                 turn_rad: file.fault.tracking_turn_rad,
             },
+            fault_ends_run: file.fault.ends_run,
             supervision: supervision(control, &file)?,
             jaw_closing_effort_n_m_max,
             arms,
@@ -259,6 +264,10 @@ mod tests {
         );
         assert!(message("backoff_s = 0.5", "backoff_s = -1.0").contains("policy.backoff_s = -1"));
         assert!(message("return_s = 30.0", "return_s = 0.0").contains("policy.return_s = 0"));
+        assert_eq!(left_out.frozen_ns, None);
+        let frozen =
+            |s: &str| message("\nrestarts = 0", &format!("\nrestarts = 0\nfrozen_s = {s}"));
+        assert!(frozen("0.001").contains("policy.frozen_s = 0.001 is outside [0.1, 3600]"));
     }
 
     #[test]

@@ -23,6 +23,10 @@ pub struct GateLimits {
     pub jump_m_max: f64,
     /// Largest turn from the commanded tip to the target that is due, rad.
     pub jump_rad_max: f64,
+    /// The same after a hold of the run's own, m.
+    pub resume_m_max: f64,
+    /// And its turn, rad.
+    pub resume_rad_max: f64,
 }
 
 /// What the gate thinks of a chunk.
@@ -66,6 +70,8 @@ pub enum GateDecision {
     },
     /// The target that is due is too far from the commanded tip.
     Jump,
+    /// After a hold of the run's own it does not start where the arm is.
+    Elsewhere,
 }
 
 impl GateDecision {
@@ -83,6 +89,8 @@ pub struct Gate {
     accepted: Option<(u64, TimeNs)>,
     /// Observations from before are too old, whatever their age.
     not_before: TimeNs,
+    /// A hold of the run's own has ended, and no chunk was let through since.
+    held: bool,
     judged: Option<(u64, TimeNs)>,
     accepted_count: u64,
     refused_count: u64,
@@ -96,6 +104,7 @@ impl Gate {
             limits,
             accepted: None,
             not_before: TimeNs(0),
+            held: false,
             judged: None,
             accepted_count: 0,
             refused_count: 0,
@@ -106,12 +115,18 @@ impl Gate {
     pub fn forget(&mut self) {
         self.accepted = None;
         self.judged = None;
+        self.held = false;
     }
 
     /// Forgets the order of the chunks so far; what answers an observation from before `now` is stale from now on.
     pub fn begin_anew(&mut self, now: TimeNs) {
         self.forget();
         self.not_before = now;
+    }
+
+    /// The next chunk that is let through starts where the arm is: the arm was held since nobody answered.
+    pub fn go_on(&mut self) {
+        self.held = true;
     }
 
     /// Chunks let through since the start.
@@ -141,6 +156,7 @@ impl Gate {
         let decision = self.decision(chunk, now, commanded_tip_in_rcm);
         if decision.is_accepted() {
             self.accepted = Some(identity);
+            self.held = false;
             self.accepted_count += 1;
         } else {
             self.refused_count += 1;
@@ -178,8 +194,12 @@ impl Gate {
         let target = targets[due].tip_in_rcm();
         let away_m = (target.translation.vector - commanded.translation.vector).norm();
         let away_rad = target.rotation.angle_to(&commanded.rotation);
-        if away_m > self.limits.jump_m_max || away_rad > self.limits.jump_rad_max {
+        let limits = &self.limits;
+        if away_m > limits.jump_m_max || away_rad > limits.jump_rad_max {
             return GateDecision::Jump;
+        }
+        if self.held && (away_m > limits.resume_m_max || away_rad > limits.resume_rad_max) {
+            return GateDecision::Elsewhere;
         }
         GateDecision::Accepted
     }

@@ -135,6 +135,7 @@ impl InputHash {
             Some(OperatorEvent::Speed { percent }) => 6 | u64::from(percent) << 8,
             Some(OperatorEvent::TakeOver) => 7,
             Some(OperatorEvent::HandBack) => 8,
+            Some(OperatorEvent::GoOn) => 9,
         });
     }
 

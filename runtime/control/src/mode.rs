@@ -1,11 +1,11 @@
 //! What the arm is allowed to do: the CRTK operating states and the one function that changes them.
 //!
-//! | state    | enable  | disable  | pause    | resume   | clear    | speed    | take over | hand back | fail  |
-//! |----------|---------|----------|----------|----------|----------|----------|-----------|-----------|-------|
-//! | DISABLED | ENABLED | DISABLED | DISABLED | DISABLED | DISABLED | DISABLED | DISABLED  | DISABLED  | FAULT |
-//! | ENABLED  | ENABLED | DISABLED | PAUSED   | ENABLED  | ENABLED  | ENABLED  | ENABLED   | ENABLED   | FAULT |
-//! | PAUSED   | PAUSED  | DISABLED | PAUSED   | ENABLED  | PAUSED   | PAUSED   | PAUSED    | PAUSED    | FAULT |
-//! | FAULT    | FAULT   | FAULT    | FAULT    | FAULT    | DISABLED | FAULT    | FAULT     | FAULT     | FAULT |
+//! | state    | enable  | disable  | pause    | resume   | clear    | speed    | take over | hand back | go on    | fail  |
+//! |----------|---------|----------|----------|----------|----------|----------|-----------|-----------|----------|-------|
+//! | DISABLED | ENABLED | DISABLED | DISABLED | DISABLED | DISABLED | DISABLED | DISABLED  | DISABLED  | DISABLED | FAULT |
+//! | ENABLED  | ENABLED | DISABLED | PAUSED   | ENABLED  | ENABLED  | ENABLED  | ENABLED   | ENABLED   | ENABLED  | FAULT |
+//! | PAUSED   | PAUSED  | DISABLED | PAUSED   | ENABLED  | PAUSED   | PAUSED   | PAUSED    | PAUSED    | ENABLED  | FAULT |
+//! | FAULT    | FAULT   | FAULT    | FAULT    | FAULT    | DISABLED | FAULT    | FAULT     | FAULT     | FAULT    | FAULT |
 
 use core::fmt;
 
@@ -75,6 +75,8 @@ pub enum OperatorEvent {
     /// The policy drives again: the targets of the hands count no more, nor does what answers an observation from before. This
     /// changes no state.
     HandBack,
+    /// The run's own hold ends: follow the policy again, from its first chunk that starts where the arm is.
+    GoOn,
 }
 
 /// What can change the operating state.
@@ -91,7 +93,7 @@ pub enum Event {
 pub const fn next(state: OperatingState, event: Event) -> OperatingState {
     use Event::{Fail, Operator};
     use OperatingState::{Disabled, Enabled, Fault, Paused};
-    use OperatorEvent::{Clear, Disable, Enable, HandBack, Pause, Resume, Speed, TakeOver};
+    use OperatorEvent::{Clear, Disable, Enable, GoOn, HandBack, Pause, Resume, Speed, TakeOver};
     match (state, event) {
         (Disabled | Enabled | Paused | Fault, Fail) => Fault,
         (Disabled | Enabled | Paused | Fault, Operator(Speed { .. } | TakeOver | HandBack)) => {
@@ -99,17 +101,17 @@ pub const fn next(state: OperatingState, event: Event) -> OperatingState {
         }
 
         (Disabled, Operator(Enable)) => Enabled,
-        (Disabled, Operator(Disable | Pause | Resume | Clear)) => Disabled,
+        (Disabled, Operator(Disable | Pause | Resume | GoOn | Clear)) => Disabled,
 
-        (Enabled, Operator(Enable | Resume | Clear)) => Enabled,
+        (Enabled, Operator(Enable | Resume | GoOn | Clear)) => Enabled,
         (Enabled, Operator(Disable)) => Disabled,
         (Enabled, Operator(Pause)) => Paused,
 
         (Paused, Operator(Enable | Pause | Clear)) => Paused,
         (Paused, Operator(Disable)) => Disabled,
-        (Paused, Operator(Resume)) => Enabled,
+        (Paused, Operator(Resume | GoOn)) => Enabled,
 
-        (Fault, Operator(Enable | Disable | Pause | Resume)) => Fault,
+        (Fault, Operator(Enable | Disable | Pause | Resume | GoOn)) => Fault,
         (Fault, Operator(Clear)) => Disabled,
     }
 }
@@ -139,6 +141,7 @@ mod tests {
             Event::Operator(OperatorEvent::Speed { percent: 50 }),
             Event::Operator(OperatorEvent::TakeOver),
             Event::Operator(OperatorEvent::HandBack),
+            Event::Operator(OperatorEvent::GoOn),
             Event::Fail,
         ];
         let rows: Vec<Vec<&str>> = include_str!("mode.rs")
@@ -175,6 +178,7 @@ mod tests {
             OperatorEvent::Disable,
             OperatorEvent::Pause,
             OperatorEvent::Resume,
+            OperatorEvent::GoOn,
         ] {
             assert_eq!(
                 next(OperatingState::Fault, Event::Operator(event)),

@@ -16,11 +16,12 @@ pub(super) struct ControlFile {
 }
 
 #[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub(super) struct PolicyTable {
     pub(super) restarts: u32,
     pub(super) backoff_s: f64,
     pub(super) return_s: f64,
+    pub(super) frozen_s: f64,
 }
 
 impl Default for PolicyTable {
@@ -29,6 +30,7 @@ impl Default for PolicyTable {
             restarts: 0,
             backoff_s: 0.5,
             return_s: 30.0,
+            frozen_s: 0.0,
         }
     }
 }
@@ -91,6 +93,19 @@ pub(super) struct GateTable {
     pub(super) step_rad_max: f64,
     pub(super) jump_m_max: f64,
     pub(super) jump_rad_max: f64,
+    #[serde(default = "resume_m_max")]
+    pub(super) resume_m_max: f64,
+    #[serde(default = "resume_rad_max")]
+    pub(super) resume_rad_max: f64,
+}
+
+/// Committed networks go on from 4 mm away, and what moves at 0.1 m/s is due 10 mm away after 0.1 s.
+const fn resume_m_max() -> f64 {
+    0.01
+}
+
+const fn resume_rad_max() -> f64 {
+    0.2
 }
 
 #[derive(Debug, Deserialize)]
@@ -116,6 +131,12 @@ pub(super) struct FilterTable {
 pub(super) struct FaultTable {
     pub(super) tracking_tip_m: f64,
     pub(super) tracking_turn_rad: f64,
+    #[serde(default = "ends_run")]
+    pub(super) ends_run: bool,
+}
+
+const fn ends_run() -> bool {
+    true
 }
 
 #[derive(Debug, Deserialize)]

@@ -18,6 +18,7 @@ use super::happened::Happened;
 use super::header::{Closing, LogCounts, RunOutcome};
 use super::item::{ChunkItem, SideItem, TickItem};
 use super::level::Level;
+use super::sync::Syncing;
 use super::writer::LogWriter;
 use trocar_control::InputHash;
 
@@ -74,6 +75,8 @@ pub(super) struct Drain {
     pub(super) on_failure: OnFailure,
     /// The bound of the file's size, if it has one.
     pub(super) bound: Option<Bound>,
+    /// While this lives the file is brought to its disk, if it is.
+    pub(super) _syncing: Option<Syncing>,
 }
 
 /// Called on the writer thread at the first write that fails.

@@ -1,28 +1,31 @@
-//! Events of a run in words, from its ticks: the operator's, changes of mode, faults.
+//! Events of a run in words, from its ticks: the operator's, changes of mode, faults, and what holds an arm although there are answers.
 
 use hal::{ARM_NAMES, ARMS_MAX};
-use trocar_control::{Fault, OperatingState, OperatorEvent};
+use trocar_control::{Fault, GateDecision, OperatingState, OperatorEvent};
 
 use super::level::Level;
 use super::record::TickRecord;
 
 /// What was said of each arm.
 #[derive(Debug)]
-pub struct Happened([(OperatingState, Option<Fault>); ARMS_MAX]);
+pub struct Happened([Said; ARMS_MAX]);
+
+/// Its state, its fault, and what the gate said of its newest chunk.
+type Said = (OperatingState, Option<Fault>, Option<GateDecision>);
 
 impl Happened {
     /// Of a run that has not begun.
     #[must_use]
     #[expect(clippy::new_without_default, reason = "a run begins somewhere")]
     pub const fn new() -> Self {
-        Self([(OperatingState::Disabled, None); ARMS_MAX])
+        Self([(OperatingState::Disabled, None, None); ARMS_MAX])
     }
 
     /// What is new in `tick`, in order; nothing in nearly all.
     pub fn since(&mut self, tick: &TickRecord) -> Vec<(Level, String)> {
         let mut news = Vec::new();
         let arms = tick.arms.iter().zip(ARM_NAMES).zip(&mut self.0);
-        for ((arm, name), (state, fault)) in arms {
+        for ((arm, name), (state, fault, gate)) in arms {
             if let Some(event) = arm.operator {
                 news.push((Level::Info, format!("{name}: operator: {}", words(event))));
             }
@@ -35,6 +38,13 @@ impl Happened {
             let had = core::mem::replace(fault, arm.report.fault);
             if let (Some(fault), None) = (arm.report.fault, had) {
                 news.push((Level::Error, format!("{name}: fault: {fault}")));
+            }
+            if let Some(decision) = arm.report.gate
+                && gate.replace(decision) != Some(decision)
+                && decision == GateDecision::Elsewhere
+            {
+                let text = "chunks are refused: they do not start where the arm was held";
+                news.push((Level::Warning, format!("{name}: {text}")));
             }
         }
         news
@@ -51,5 +61,6 @@ fn words(event: OperatorEvent) -> String {
         OperatorEvent::Speed { percent } => format!("speed {percent} %"),
         OperatorEvent::TakeOver => "take over".to_owned(),
         OperatorEvent::HandBack => "hand back".to_owned(),
+        OperatorEvent::GoOn => "go on".to_owned(),
     }
 }

@@ -160,6 +160,7 @@ pub(super) enum OperatorMessage {
     Speed { percent: u8 },
     TakeOver,
     HandBack,
+    GoOn,
 }
 
 impl From<OperatorEvent> for OperatorMessage {
@@ -173,6 +174,7 @@ impl From<OperatorEvent> for OperatorMessage {
             OperatorEvent::Speed { percent } => Self::Speed { percent },
             OperatorEvent::TakeOver => Self::TakeOver,
             OperatorEvent::HandBack => Self::HandBack,
+            OperatorEvent::GoOn => Self::GoOn,
         }
     }
 }
@@ -188,6 +190,7 @@ impl From<OperatorMessage> for OperatorEvent {
             OperatorMessage::Speed { percent } => Self::Speed { percent },
             OperatorMessage::TakeOver => Self::TakeOver,
             OperatorMessage::HandBack => Self::HandBack,
+            OperatorMessage::GoOn => Self::GoOn,
         }
     }
 }

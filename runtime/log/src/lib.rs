@@ -26,6 +26,7 @@ mod ring;
 mod safety;
 mod shown;
 mod step;
+mod sync;
 mod topic;
 pub mod verify;
 mod writer;

@@ -25,6 +25,7 @@ use super::item::{ChunkItem, SideItem, TickItem};
 use super::level::Level;
 use super::record::TickRecord;
 use super::ring::pre_faulted_queue;
+use super::sync::Syncing;
 use super::writer::LogWriter;
 use hal::ARMS_MAX;
 use trocar_control::InputHash;
@@ -281,6 +282,11 @@ impl Recorder {
             failure: None,
             on_failure,
             bound: bytes_max.map(|bytes_max| Bound::new(bytes_max, run, path)),
+            // What is done in virtual time can be done again.
+            _syncing: match pressure {
+                Pressure::Drop => Some(Syncing::start(path).map_err(io)?),
+                Pressure::Block => None,
+            },
         };
         let thread = thread::Builder::new()
             .name("log".to_owned())

@@ -84,7 +84,7 @@ fn stop_and_return(log: &RunLog) -> (usize, bool) {
             .position(|(tick, _)| tick.arms.first.operator == Some(event))
             .unwrap()
     };
-    let (pause, resume) = (asked(OperatorEvent::Pause), asked(OperatorEvent::Resume));
+    let (pause, resume) = (asked(OperatorEvent::Pause), asked(OperatorEvent::GoOn));
     let fastest = |tick: &trocar_log::LoggedTick| tick.arms.first.command.velocity.amax();
     let rest = log
         .ticks()
@@ -99,7 +99,7 @@ fn assert_goes_on_twice(log: &RunLog) {
     let resumed: Vec<usize> = log
         .ticks()
         .enumerate()
-        .filter(|(_, (tick, _))| tick.arms.first.operator == Some(OperatorEvent::Resume))
+        .filter(|(_, (tick, _))| tick.arms.first.operator == Some(OperatorEvent::GoOn))
         .map(|(at, _)| at)
         .collect();
     assert_eq!(resumed.len(), 2);

@@ -115,7 +115,10 @@ fn hands_take_over_from_a_policy_and_hand_back() {
         interventions["operator_s"].as_f64() > Some(0.3),
         "{interventions}"
     );
-    assert_eq!(changes(&log), ["Enable", "TakeOver", "HandBack", "Pause"]);
+    assert_eq!(
+        changes(&log),
+        ["Enable", "TakeOver", "HandBack", "Pause", "Disable"]
+    );
     verified(&log);
     let replay = trocar(Profile::Debug)
         .arg("replay")

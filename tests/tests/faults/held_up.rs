@@ -49,6 +49,84 @@ fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
     }
 }
 
+/// Kept from its cores so often that more periods are skipped within a second than are allowed, the run ends at rest and says so.
+#[test]
+fn too_many_overruns_end_the_run_at_rest() {
+    let _turn = alone();
+    let limit = ["--set", "realtime.overruns_per_s_max=60"];
+    // A machine that is busy enough makes any one run miss the arms' measurements, but not three.
+    let named = (1..=3).any(|_| {
+        let mut run = Run::start_with("faults-overruns", "random", 0, None, &limit);
+        let mut stops = 0;
+        while stops < 6 && run.process.try_wait().unwrap().is_none() {
+            run.send("-STOP");
+            sleep_ns(30 * MS_NS);
+            run.send("-CONT");
+            sleep_ns(30 * MS_NS);
+            stops += 1;
+        }
+        let (code, result) = run.end();
+        let reason = result.unwrap()["reason"].as_str().unwrap().to_owned();
+        assert_eq!(code, Some(1), "{reason}");
+        run.checked_log();
+        let rest = reason.strip_prefix("fault: the control thread skipped ");
+        let skipped = rest.and_then(|rest| rest.strip_suffix(" periods within a second"));
+        let Some(skipped) = skipped else {
+            assert!(reason.starts_with("fault: no measurement for "), "{reason}");
+            return false;
+        };
+        assert!(skipped.parse::<u64>().unwrap() > 60, "{reason}");
+        let fault = "overruns beyond `overruns_per_s_max` (SIGSTOP for 30 ms, again and again)";
+        println!("| {fault} | `{reason}` | - | its tail is played meanwhile | held | the run ends, exit code 1 |");
+        true
+    });
+    assert!(named);
+}
+
+/// With `fault.ends_run = false` the arm holds with its fault until the operator clears it, and moves again once it is enabled.
+#[test]
+fn a_fault_can_be_cleared_and_the_run_goes_on() {
+    let _turn = alone();
+    let holds = ["--set", "control.fault.ends_run=false"];
+    let mut run = Run::start_with("faults-cleared", "random", 0, None, &holds);
+    run.send("-STOP");
+    sleep_ns(400 * MS_NS);
+    run.send("-CONT");
+    let rests = run.until("it holds with a fault", |seen| seen.faulty && !seen.moves);
+    let of = Ask {
+        run: Some(run.process.id().to_string()),
+        json: false,
+    };
+    let does = |event| ask(Operator::Event(event), &of).unwrap();
+    let (refused, done) = does(OperatorEvent::Enable);
+    assert!(
+        !done && refused.contains("enable does not apply in FAULT"),
+        "{refused}"
+    );
+    assert!(does(OperatorEvent::Clear).1);
+    assert!(does(OperatorEvent::Enable).1);
+    run.until("it moves again", |seen| seen.enabled && seen.moves);
+    let (log, _) = run.interrupted();
+    for told in [
+        "psm1: fault: no measurement for ",
+        "psm1: FAULT to DISABLED",
+        "psm1: operator: clear",
+    ] {
+        assert!(
+            log.events.iter().any(|event| event.contains(told)),
+            "{told}"
+        );
+    }
+    let fault = "a fault with `ends_run = false` (SIGSTOP for 0.4 s)";
+    let recovery = "holds in FAULT; goes on after `clear` and `enable`";
+    row(
+        fault,
+        "`fault: no measurement for ...`",
+        (None, rests),
+        recovery,
+    );
+}
+
 /// A file system of its own that can be made to wait, unmounted with the test.
 struct StandingDisk(PathBuf);
 

@@ -20,6 +20,8 @@ const CHUNK_STEPS: u64 = 25;
 /// How far it swings, m, and how long that takes, s.
 const SWING_M: f64 = 0.01;
 const PERIOD_S: f64 = 1.6;
+/// How far another place is, m.
+const ELSEWHERE_M: f64 = 0.03;
 /// Longer than the gate lets an observation be old.
 const SLOW_NS: u64 = 2_500 * TICK_NS;
 const STATUS_EVERY_NS: u64 = 50 * TICK_NS;
@@ -36,6 +38,8 @@ pub(crate) enum Manner {
     Replays,
     /// It takes longer to answer than an observation may be old.
     Slow,
+    /// What it asks for is 30 mm from where it was.
+    Elsewhere,
 }
 
 /// What it says that it is for.
@@ -101,6 +105,8 @@ struct Stage {
     manner: Arc<AtomicU8>,
     leaves: Arc<AtomicBool>,
     home: Option<TipTarget>,
+    /// When it first saw the arm, there.
+    begun: Option<TimeNs>,
     first: Option<Chunk>,
     sequence: u64,
     turn: Option<u64>,
@@ -130,6 +136,7 @@ impl Stage {
             manner,
             leaves,
             home: None,
+            begun: None,
             first: None,
             sequence: 0,
             turn: None,
@@ -171,9 +178,16 @@ impl Stage {
         let jaw = report.jaw_position;
         let here = TipTarget::new(&report.tip_in_rcm(), jaw);
         let home = self.home.get_or_insert(here).tip_in_rcm();
+        let begun = self.begun.get_or_insert(report.stamp).seconds();
+        let elsewhere = if manner == Manner::Elsewhere as u8 {
+            ELSEWHERE_M
+        } else {
+            0.0
+        };
         let at = |step: u64| {
             let seconds = TimeNs(report.stamp.0 + step * STEP_NS).seconds();
-            let aside = SWING_M * (core::f64::consts::TAU * seconds / PERIOD_S).sin();
+            let aside = SWING_M * (core::f64::consts::TAU * (seconds - begun) / PERIOD_S).sin();
+            let aside = aside + elsewhere;
             let jaw = if manner == Manner::NotFinite as u8 {
                 f64::NAN
             } else {

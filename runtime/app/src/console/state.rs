@@ -309,5 +309,6 @@ pub(super) fn refusal(reason: GateDecision) -> String {
             format!("target {index} is too far from the one before")
         }
         GateDecision::Jump => "its target is too far from the tip".to_owned(),
+        GateDecision::Elsewhere => "it does not start where the arm was held".to_owned(),
     }
 }

@@ -18,6 +18,8 @@ pub struct RtProfile {
     pub lock_memory: bool,
     /// Whether to keep all cores out of idle states while the run lasts: [`CPU_DMA_LATENCY`](super::CPU_DMA_LATENCY) at 0.
     pub hold_cpu_dma_latency: bool,
+    /// How many periods the control thread may skip within a second; any number if not given.
+    pub overruns_per_s_max: Option<u64>,
     /// The simulated arms' thread. Never strict: without it the arms are only less punctual.
     pub simulation: RtOptions,
 }
@@ -38,6 +40,7 @@ impl Default for RtProfile {
             },
             lock_memory: true,
             hold_cpu_dma_latency: true,
+            overruns_per_s_max: None,
             simulation: fifo(70),
         }
     }
@@ -49,6 +52,8 @@ struct File {
     strict: bool,
     lock_memory: bool,
     hold_cpu_dma_latency: bool,
+    #[serde(default)]
+    overruns_per_s_max: u32,
     control: ThreadFile,
     simulation: ThreadFile,
 }
@@ -90,7 +95,11 @@ impl RtProfile {
     /// [`ConfigError`] with file, line, key and allowed range.
     pub fn load(source: &Source) -> Result<Self, ConfigError> {
         let file: File = source.parse()?;
+        let overruns = f64::from(file.overruns_per_s_max);
+        source.check_range("overruns_per_s_max", overruns, 0.0, 1000.0)?;
+        let limit = u64::from(file.overruns_per_s_max);
         Ok(Self {
+            overruns_per_s_max: Some(limit).filter(|limit| *limit > 0),
             lock_memory: file.lock_memory,
             hold_cpu_dma_latency: file.hold_cpu_dma_latency,
             control: RtOptions {
@@ -170,6 +179,7 @@ mod tests {
             ("control.priority", "100", "[0, 99]"),
             ("control.cpu", "-2", "[-1, 1023]"),
             ("simulation.cpu", "1024", "[-1, 1023]"),
+            ("overruns_per_s_max", "1001", "[0, 1000]"),
         ] {
             let source = RtProfile::shipped().with(key, value).unwrap();
             let error = RtProfile::load(&source).unwrap_err().to_string();

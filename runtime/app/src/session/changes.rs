@@ -46,11 +46,34 @@ impl ConfigFile {
     }
 }
 
-/// Keys that scene files may leave out, and what stands for them until they are set.
-const PATIENT: ([&str; 2], &str) = (
-    ["scene.patient", "scene.organ"],
-    "[scene]\npatient = \"\"\norgan = \"\"\n",
-);
+/// Keys that files may leave out, and what stands for them until they are set.
+const OPTIONAL: [(ConfigFile, &[&str], &str); 5] = [
+    (
+        ConfigFile::Scene,
+        &["scene.patient", "scene.organ"],
+        "[scene]\npatient = \"\"\norgan = \"\"\n",
+    ),
+    (
+        ConfigFile::Control,
+        &["gate.resume_m_max"],
+        "[gate]\nresume_m_max = 0.01\n",
+    ),
+    (
+        ConfigFile::Control,
+        &["gate.resume_rad_max"],
+        "[gate]\nresume_rad_max = 0.2\n",
+    ),
+    (
+        ConfigFile::Control,
+        &["policy.frozen_s"],
+        "[policy]\nfrozen_s = 0.0\n",
+    ),
+    (
+        ConfigFile::Control,
+        &["fault.ends_run"],
+        "[fault]\nends_run = true\n",
+    ),
+];
 
 /// A value for a key of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -105,8 +128,10 @@ impl Changes {
     pub fn apply(&self, file: ConfigFile, source: Source) -> Result<Source, ConfigError> {
         let mut changed = source;
         for change in self.0.iter().filter(|change| change.file == file) {
-            if file == ConfigFile::Scene && PATIENT.0.contains(&change.key.as_str()) {
-                changed = changed.or_with(&change.key, PATIENT.1);
+            for (of, keys, stands) in OPTIONAL {
+                if of == file && keys.contains(&change.key.as_str()) {
+                    changed = changed.or_with(&change.key, stands);
+                }
             }
             changed = changed.with(&change.key, &change.value)?;
         }
@@ -167,6 +192,23 @@ mod tests {
         let organ = set(scene, &["scene.scene.organ=spleen"]).unwrap();
         assert_eq!(organ, scene.replace("liver", "spleen"));
         assert!(set("a = 1", &["scene.scene.body=x"]).is_err());
+    }
+
+    /// So can what a file has a table for, but no key; where it has one, that is changed.
+    #[test]
+    fn a_key_that_may_be_left_out_is_set_in_its_table() {
+        let set = |text: &str| {
+            let change = "control.gate.resume_m_max=0.02".parse().unwrap();
+            let source = Source::embedded("control.toml", text);
+            let control = Changes(vec![change]).apply(ConfigFile::Control, source);
+            control.unwrap().text().to_owned()
+        };
+        let (before, after) = (
+            "[gate] \na = 1\n[policy]\n",
+            "[gate] \nresume_m_max = 0.02\na = 1\n[policy]\n",
+        );
+        assert_eq!(set(before), after);
+        assert_eq!(set(&after.replace("0.02", "0.03")), after);
     }
 
     #[test]

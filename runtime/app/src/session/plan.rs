@@ -73,10 +73,12 @@ pub struct Plan<S = Setup> {
     pub console: Option<Console>,
     /// Whether the episode is a demonstration by hand: it waits for a person to start it, and is written down.
     pub demonstrates: bool,
-    /// Where the log goes, if anywhere. A log holds frames even if the policy needs none: see [`Setup::cameras_with`].
+    /// Where the log goes, if anywhere. It holds frames even if the policy needs none: see [`Setup::cameras_with`].
     pub log: Option<PathBuf>,
     /// Bytes that the log takes at most on its disk, if it has a bound; it keeps the last part.
     pub log_bytes_max: Option<u64>,
+    /// Whether frames are drawn for the log that the policy does not need.
+    pub log_frames: bool,
     /// Whether to keep pictures of the run for [`RunResult::pictures`].
     pub pictures: bool,
     /// Says at once what a person should know, from any thread.
@@ -98,6 +100,7 @@ impl<S> Plan<S> {
             demonstrates: false,
             log: None,
             log_bytes_max: None,
+            log_frames: true,
             pictures: false,
             warn: |_| (),
         }
@@ -114,7 +117,7 @@ impl<S> Plan<S> {
 
     /// Whether anybody but the policy wants frames.
     pub(super) const fn wants_frames(&self) -> bool {
-        self.pictures || self.log.is_some()
+        self.pictures || (self.log.is_some() && self.log_frames)
     }
 }
 

@@ -108,6 +108,23 @@ impl Setup {
         Ok(self)
     }
 
+    /// [`Self::with_stereo`], of which both eyes are recorded, as `endoscope` and `endoscope_right`: after the cameras that are kept anyway.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn with_recorded_stereo(self) -> Result<Self, SessionError> {
+        let left = picture(&self.task).map(|index| self.task.cameras[index].name.clone());
+        let mut setup = self.with_stereo()?;
+        let right = setup.task.cameras.last().map(|camera| camera.name.clone());
+        let kept = setup.kept_cameras.get_or_insert_default();
+        for eye in [left, right].into_iter().flatten() {
+            if !kept.contains(&eye) {
+                kept.push(eye);
+            }
+        }
+        Ok(setup)
+    }
+
     /// The same setup with a second eye for a person, [`BASELINE_M`] to the right of the picture that hands move in. It is drawn for who
     /// looks through it, and nothing is recorded of it.
     ///
@@ -209,6 +226,23 @@ mod tests {
         // In the picture right is about the scene's x.
         assert!(apart.x > 0.9 * BASELINE_M && apart.dot(&(target - eye)).abs() < 1e-9);
         assert_eq!(setup.cameras_with(Vec::new()), ["endoscope"]);
+        let recorded = load(View::Train).with_recorded_stereo().unwrap();
+        assert_eq!(
+            recorded.cameras_with(Vec::new()),
+            ["endoscope", "endoscope_right"]
+        );
+        let options = SceneOptions {
+            cameras: Some(CameraSet::parse("side,wrist")),
+            ..SceneOptions::default()
+        };
+        let changes = crate::session::changes::Changes::default();
+        let expert = PolicyChoice::Expert;
+        let task = Setup::load_with("suture-pad", None, &expert, &options, changes);
+        let recorded = task.unwrap().with_recorded_stereo().unwrap();
+        assert_eq!(
+            recorded.cameras_with(Vec::new()),
+            ["side", "wrist", "endoscope", "endoscope_right"]
+        );
         let moved = load(View::View1).with_stereo();
         assert!(moved.is_err_and(|error| error.to_string().contains("--stereo")));
     }

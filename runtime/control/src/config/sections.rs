@@ -122,12 +122,16 @@ pub(super) fn gate(source: &Source, file: &ControlFile) -> Result<GateLimits, Co
     source.check_range("gate.step_rad_max", gate.step_rad_max, 1e-3, 3.2)?;
     source.check_range("gate.jump_m_max", gate.jump_m_max, 1e-3, 0.5)?;
     source.check_range("gate.jump_rad_max", gate.jump_rad_max, 1e-2, 3.2)?;
+    source.check_range("gate.resume_m_max", gate.resume_m_max, 1e-4, 0.5)?;
+    source.check_range("gate.resume_rad_max", gate.resume_rad_max, 1e-3, 3.2)?;
     Ok(GateLimits {
         age_ns_max: nanoseconds(gate.age_s_max),
         step_m_max: gate.step_m_max,
         step_rad_max: gate.step_rad_max,
         jump_m_max: gate.jump_m_max,
         jump_rad_max: gate.jump_rad_max,
+        resume_m_max: gate.resume_m_max,
+        resume_rad_max: gate.resume_rad_max,
     })
 }
 
@@ -195,10 +199,16 @@ pub(super) fn supervision(source: &Source, file: &ControlFile) -> Result<Supervi
     source.check_range("policy.restarts", f64::from(policy.restarts), 0.0, 1000.0)?;
     source.check_range("policy.backoff_s", policy.backoff_s, 0.0, 60.0)?;
     source.check_range("policy.return_s", policy.return_s, 0.1, 3600.0)?;
+    // Nothing but 0 is no limit.
+    let frozen = policy.frozen_s.total_cmp(&0.0).is_ne();
+    if frozen {
+        source.check_range("policy.frozen_s", policy.frozen_s, 0.1, 3600.0)?;
+    }
     Ok(Supervision {
         restarts: policy.restarts,
         backoff_ns: nanoseconds(policy.backoff_s),
         return_ns: nanoseconds(policy.return_s),
+        frozen_ns: frozen.then(|| nanoseconds(policy.frozen_s)),
     })
 }
 

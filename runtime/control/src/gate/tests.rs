@@ -9,6 +9,8 @@ const LIMITS: GateLimits = GateLimits {
     step_rad_max: 0.5,
     jump_m_max: 0.05,
     jump_rad_max: 1.0,
+    resume_m_max: 0.01,
+    resume_rad_max: 0.2,
 };
 const STEP_NS: u64 = 40_000_000;
 const NOW: TimeNs = TimeNs(1_000_000_000);
@@ -132,4 +134,41 @@ fn an_old_observation_is_stale() {
             age_ns: 2_000_000_001
         })
     );
+}
+
+/// After a hold of the run's own only a chunk that starts where the arm is ends the wait for one; order and age count as before.
+#[test]
+fn an_arm_goes_on_from_where_it_is() {
+    let mut gate = Gate::new(LIMITS);
+    let tip = Pose::translation(0.0, 0.0, -0.11);
+    let aside = |sequence, m: f64| {
+        let mut chunk = good(sequence);
+        chunk.targets.iter_mut().for_each(|t| t.position_m[0] = m);
+        chunk
+    };
+    let turned = |sequence, rad: f64| {
+        let mut chunk = good(sequence);
+        let (sine, cosine) = (rad / 2.0).sin_cos();
+        let rotation = [sine, 0.0, 0.0, cosine];
+        chunk
+            .targets
+            .iter_mut()
+            .for_each(|t| t.rotation_xyzw = rotation);
+        chunk
+    };
+    let judge = |gate: &mut Gate, chunk: &Chunk| gate.judge(chunk, NOW, &tip).unwrap();
+    assert_eq!(judge(&mut gate, &aside(1, 0.03)), GateDecision::Accepted);
+    gate.go_on();
+    let elsewhere = GateDecision::Elsewhere;
+    assert_eq!(judge(&mut gate, &aside(2, 0.03)), elsewhere);
+    assert_eq!(judge(&mut gate, &aside(3, 0.011)), elsewhere);
+    assert_eq!(judge(&mut gate, &turned(4, 0.21)), elsewhere);
+    assert_eq!(judge(&mut gate, &aside(5, 0.06)), GateDecision::Jump);
+    assert_eq!(judge(&mut gate, &aside(1, 0.0)), GateDecision::OutOfOrder);
+    assert_eq!(judge(&mut gate, &aside(6, 0.009)), GateDecision::Accepted);
+    assert_eq!(judge(&mut gate, &aside(7, 0.03)), GateDecision::Accepted);
+    // Whoever enables the arm, takes it or hands it back begins anew.
+    gate.go_on();
+    gate.forget();
+    assert_eq!(judge(&mut gate, &turned(1, 0.5)), GateDecision::Accepted);
 }

@@ -94,6 +94,7 @@ pub(super) fn arm(tick: u64) -> ArmRecord {
         OperatorEvent::Speed { percent: 37 },
         OperatorEvent::TakeOver,
         OperatorEvent::HandBack,
+        OperatorEvent::GoOn,
     ];
     ArmRecord {
         measured,

@@ -362,8 +362,8 @@ pub(crate) struct RunArgs {
     /// Write the run's log; parent folders are made.
     #[arg(long, value_name = "FILE.mcap")]
     pub(crate) log: Option<PathBuf>,
-    /// With --backend can: keep no log. Without this and --log the last 256 MB are kept in ~/.local/state/trocar/black-box/TOPICS.mcap
-    /// (of a service, in its state folder) and the run before it beside it, as TOPICS.before.mcap.
+    /// Keep no log. Without this and --log the last 256 MB of a run in real time are kept in ~/.local/state/trocar/black-box (of a service,
+    /// in its state folder), as simulation.mcap or, with --backend can, TOPICS.mcap, and the run before it beside it, as .before.mcap.
     #[arg(long, conflicts_with = "log")]
     pub(crate) no_log: bool,
     /// What the log takes at most, MB: it keeps the last part, in FILE.mcap and, from before it, FILE.earlier.mcap.

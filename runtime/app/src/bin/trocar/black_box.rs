@@ -1,4 +1,4 @@
-//! The log that a robot's run keeps unasked: what led to a fault is on disk, whoever forgot `--log`.
+//! The log that a run in real time keeps unasked: what led to a fault is on disk, whoever forgot `--log`.
 
 use std::env;
 use std::fs::{self, File};
@@ -9,7 +9,7 @@ use std::sync::OnceLock;
 use crate::args::{Backend, RunArgs};
 use crate::console;
 
-/// What it takes at most, bytes: of a robot without cameras some hours, with two of 512 x 512 pixels about the last ten seconds.
+/// What it takes at most, bytes: of a run without cameras some hours, with two of 512 x 512 pixels about the last ten seconds.
 const BYTES_MAX: u64 = 256 << 20;
 
 /// A log that is no longer holds a few ticks at most, bytes: of a run that ended before its arms moved. Configuration and schemas are 23 kB
@@ -19,14 +19,20 @@ const HEADER_BYTES: u64 = 48_000;
 /// The lock of the log that this process keeps.
 static LOCK: OnceLock<File> = OnceLock::new();
 
-/// The run's log and its bound, as asked or as a robot keeps it.
+/// What simulated arms keep is called this.
+const SIMULATION: &str = "simulation";
+
+/// The run's log and its bound, as asked or as a run in real time keeps it.
 pub(crate) fn log_of(args: &RunArgs) -> (Option<PathBuf>, Option<u64>) {
     let asked = args.log.is_some() || args.no_log;
-    let drives_a_robot = matches!(args.backend, Backend::Can);
-    if asked || !drives_a_robot {
+    if asked || args.lockstep {
         return (args.log.clone(), args.log_max_mb.map(|mb| mb << 20));
     }
-    match folder().and_then(|folder| kept(&folder, &args.topics)) {
+    let name = match args.backend {
+        Backend::Can => &args.topics,
+        Backend::Sim => SIMULATION,
+    };
+    match folder().and_then(|folder| kept(&folder, name)) {
         Ok(log) => {
             let (path, mb) = (log.display(), BYTES_MAX >> 20);
             console::note(&format!(
@@ -55,7 +61,7 @@ fn folder() -> io::Result<PathBuf> {
     Ok(folder.join("black-box"))
 }
 
-/// The log of a run on the topics of that name, with the one before it set aside.
+/// The log of a run on the topics of that name, or of the simulation, with the one before it set aside.
 fn kept(folder: &Path, topics: &str) -> io::Result<PathBuf> {
     // Another name is refused where the topics are opened.
     if Path::new(topics).file_name() != Some(topics.as_ref()) {
@@ -65,7 +71,7 @@ fn kept(folder: &Path, topics: &str) -> io::Result<PathBuf> {
     // For as long as this process lives: another run on these topics keeps no log, and does not touch this one's.
     let lock = File::create(folder.join(format!("{topics}.lock")))?;
     lock.try_lock()
-        .map_err(|_| io::Error::other(format!("another run on topics {topics:?} keeps its own")))?;
+        .map_err(|_| io::Error::other(format!("another run of {topics:?} keeps its own")))?;
     let _first = LOCK.set(lock);
     let file = |end: &str| folder.join(format!("{topics}{end}.mcap"));
     let there = fs::metadata(file("")).map_or(0, |found| found.len());
@@ -86,6 +92,10 @@ fn kept(folder: &Path, topics: &str) -> io::Result<PathBuf> {
         }
     }
     // Whether it can be written is said now, not when the arms have torque.
-    File::options().append(true).create(true).open(file(""))?;
+    let log = File::options().append(true).create(true).open(file(""))?;
+    // A start that is refused leaves nothing.
+    if log.metadata()?.len() == 0 {
+        fs::remove_file(file(""))?;
+    }
     Ok(file(""))
 }

@@ -223,6 +223,7 @@ fn planned<S>(args: &RunArgs, setup: S, chosen: Chosen) -> Plan<S> {
         seed: args.seed,
         log,
         log_bytes_max,
+        log_frames: args.log.is_some() || args.backend == Backend::Can,
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,
         compute: chosen.compute,
@@ -361,11 +362,13 @@ pub(crate) fn verify(VerifyArgs { log: args, part }: &VerifyArgs) -> Done {
     check_result(args)?;
     forget_result(args)?;
     let result = verifying::verify_file::<SessionError>(&args.file)?;
-    let part = *part && result.bounded && result.violation_count == 0;
-    let verdict = match (result.ok, part) {
-        (true, _) => "ok",
-        (false, true) => "ok, as far as the log's bound kept it",
-        (false, false) => "not ok",
+    let sound = result.bounded && result.violation_count == 0;
+    let part = *part && sound;
+    let verdict = match (result.ok, part, sound) {
+        (true, ..) => "ok",
+        (false, true, _) => "ok, as far as the log's bound kept it",
+        (false, false, true) => "partial, no violations",
+        (false, false, false) => "not ok",
     };
     console::result(&format!(
         "{verdict}: {} ticks, {} violations",

@@ -10,13 +10,13 @@ use trocar::rt;
 use trocar::session::record::{self, RecordOptions, RecordSummary};
 use trocar::session::run::write_json;
 use trocar::session::teleop::OperatorFigures;
-use trocar::session::{Plan, PolicyChoice, SessionError};
+use trocar::session::{Plan, PolicyChoice, SessionError, Setup};
 use trocar_data::dataset::Totals;
 
 use crate::args::{TaskParser, Video, count, share_above_0, threads};
 use crate::commands::{Done, codec};
 use crate::console;
-use crate::page::{DeskArgs, FoxgloveArgs, HeadsetArgs, PageArgs};
+use crate::page::{DeskArgs, FoxgloveArgs, PageArgs};
 use crate::policy::SimulatedArgs;
 use crate::scene_args::{ConfigArgs, Inputs, ScenesArgs};
 
@@ -65,9 +65,10 @@ pub(crate) struct RecordArgs {
     /// Where it is shown in Foxglove.
     #[command(flatten)]
     pub(crate) viewers: FoxgloveArgs,
-    /// How it is seen in a headset.
-    #[command(flatten)]
-    pub(crate) headset: HeadsetArgs,
+    /// Two eyes: a right one 5 mm beside the endoscope, which is the left one, recorded as the camera `endoscope_right` and shown in a headset.
+    /// Not with --vary views.
+    #[arg(long)]
+    pub(crate) stereo: bool,
     /// What moves the arms besides.
     #[command(flatten)]
     pub(crate) desk: DeskArgs,
@@ -121,6 +122,17 @@ pub(crate) struct RecordArgs {
     pub(crate) json: Option<PathBuf>,
 }
 
+impl RecordArgs {
+    /// `setup` with as many eyes as are recorded.
+    fn eyes(&self, setup: Setup) -> Result<Setup, SessionError> {
+        if self.stereo {
+            setup.with_recorded_stereo()
+        } else {
+            Ok(setup)
+        }
+    }
+}
+
 pub(crate) fn record(args: &RecordArgs) -> Done {
     check_source(args)?;
     Inputs::new([
@@ -134,7 +146,7 @@ pub(crate) fn record(args: &RecordArgs) -> Done {
     let demonstrator = demonstrator(args)?;
     let scenes = args.scenes.options(Some(&args.cameras));
     let setup = args.config.setup(&args.task, &demonstrator, &scenes)?;
-    let mut setup = args.headset.eyes(setup)?;
+    let mut setup = args.eyes(setup)?;
     setup.task.time_limit_s *= demonstrator.time_factor();
     let page = args.page.open(args.viewers.foxglove)?;
     let page = args.desk.take_hands(page)?;

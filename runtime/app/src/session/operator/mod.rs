@@ -111,6 +111,8 @@ impl fmt::Display for Command {
             // Hands say so, not words.
             Self::Event(OperatorEvent::TakeOver) => f.write_str("take over"),
             Self::Event(OperatorEvent::HandBack) => f.write_str("hand back"),
+            // And the run itself.
+            Self::Event(OperatorEvent::GoOn) => f.write_str("go on"),
         }
     }
 }
@@ -132,7 +134,9 @@ impl Status {
         let applies = |state: OperatingState| match event {
             OperatorEvent::Enable => matches!(state, Disabled | Enabled),
             OperatorEvent::Disable => matches!(state, Disabled | Enabled | Paused),
-            OperatorEvent::Pause | OperatorEvent::Resume => matches!(state, Enabled | Paused),
+            OperatorEvent::Pause | OperatorEvent::Resume | OperatorEvent::GoOn => {
+                matches!(state, Enabled | Paused)
+            }
             OperatorEvent::Clear => state == Fault,
             OperatorEvent::Speed { .. } | OperatorEvent::TakeOver | OperatorEvent::HandBack => true,
         };

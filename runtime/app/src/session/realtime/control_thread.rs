@@ -19,6 +19,9 @@ use crate::session::tally::Tally;
 /// Periods that the arms get to come to rest after the verdict: more than twice the longest stop.
 const REST_TICKS: u64 = 500;
 
+/// Of these, the last ones are for their drives to lose torque.
+const RELEASE_TICKS: u64 = 10;
+
 /// The control thread before it runs.
 pub(super) struct ControlThread<R> {
     pub(super) controller: AnyController,
@@ -31,6 +34,10 @@ pub(super) struct ControlThread<R> {
     pub(super) profile: RtOptions,
     /// What the process holds of the system, as long as the thread lives.
     pub(super) held: Held,
+    /// How many periods it may skip within a second.
+    pub(super) overruns_max: Option<u64>,
+    /// Whether the run ends with a fault; else the arms hold until the operator clears it.
+    pub(super) fault_ends_run: bool,
 }
 
 /// What it leaves behind.
@@ -61,19 +68,20 @@ impl<R> ControlEnd<R> {
 }
 
 impl<R: Rig> ControlThread<R> {
-    /// Runs until the arms rest after the verdict, or after a fault of any, which it does not recover from by itself.
+    /// Runs until the arms rest without torque after the verdict, or after a fault of any that ends the run.
     pub(super) fn run(mut self, clock: MonotonicClock) -> ControlEnd<R> {
         let signals = Arc::clone(&self.signals);
         let _stops = StopsAll(&signals);
         let mut tally = Tally::default();
         let mut rest_ticks = 0;
-        let mut paused = false;
         let mut hold = Hold::default();
         let mut setpoints = None;
-        let mut timing = LoopTiming::begin(&self.profile, &self.held);
+        let mut timing = LoopTiming::begin(&self.profile, &self.held, self.overruns_max);
         while rest_ticks < REST_TICKS {
             let period = self.rig.exchange(setpoints.take().as_ref());
-            timing.woke(&period);
+            if let Some(skipped) = timing.woke(&period) {
+                signals.overran(skipped);
+            }
             let done = signals.done();
             rest_ticks += u64::from(done);
             let Some(measured) = period.measured else {
@@ -81,10 +89,9 @@ impl<R: Rig> ControlThread<R> {
             };
             let operator = match (tally.ticks(), done) {
                 (0, _) => Some(OperatorEvent::Enable),
-                (_, true) => (!paused).then_some(OperatorEvent::Pause),
+                (_, true) => hold.end(REST_TICKS - rest_ticks <= RELEASE_TICKS),
                 (_, false) => hold.next(signals.held(), || self.operator.next()),
             };
-            paused |= done && operator == Some(OperatorEvent::Pause);
             let ticked = self.tick(&period, measured, operator, &mut tally, clock);
             let Some((record, answer)) = ticked else {
                 break;
@@ -96,7 +103,7 @@ impl<R: Rig> ControlThread<R> {
             if let Some(log) = &mut self.log {
                 log.tick(&record);
             }
-            if record.has_fault() {
+            if self.fault_ends_run && record.has_fault() {
                 signals.end_run();
             }
         }

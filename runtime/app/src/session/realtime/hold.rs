@@ -1,4 +1,4 @@
-//! Pauses that the run itself makes while nobody answers, beside those of the operator. Hot path: bounded, no allocation.
+//! Pauses that the run itself makes while nobody answers, beside those of the operator, and its end. Hot path: bounded, no allocation.
 
 use trocar_control::OperatorEvent;
 
@@ -9,6 +9,10 @@ pub(super) struct Hold {
     holds: bool,
     /// The operator does.
     paused: bool,
+    /// The run's own hold has ended under the operator's: whoever ends that lets the arms go on from where they are.
+    held: bool,
+    /// What the run has said at its end.
+    ending: Option<OperatorEvent>,
     /// An arm that was enabled meanwhile is yet to be paused.
     renews: bool,
 }
@@ -25,7 +29,8 @@ impl Hold {
         if self.holds != wanted {
             self.holds = wanted;
             self.renews = false;
-            let resumes = (!self.paused).then_some(OperatorEvent::Resume);
+            self.held = !wanted && self.paused;
+            let resumes = (!self.paused).then_some(OperatorEvent::GoOn);
             return if wanted {
                 Some(OperatorEvent::Pause)
             } else {
@@ -35,25 +40,46 @@ impl Hold {
         if core::mem::take(&mut self.renews) {
             return Some(OperatorEvent::Pause);
         }
-        let asked = operator()?;
+        let mut asked = operator()?;
         self.renews = self.holds && asked == OperatorEvent::Enable;
         match asked {
             OperatorEvent::Pause => self.paused = true,
-            OperatorEvent::Resume | OperatorEvent::Disable => self.paused = false,
+            OperatorEvent::Resume => self.paused = false,
+            OperatorEvent::Disable => (self.paused, self.held) = (false, false),
             OperatorEvent::Enable
+            | OperatorEvent::GoOn
             | OperatorEvent::Clear
             | OperatorEvent::Speed { .. }
             | OperatorEvent::TakeOver
             | OperatorEvent::HandBack => {}
         }
-        (asked != OperatorEvent::Resume || !self.holds).then_some(asked)
+        if asked == OperatorEvent::Resume {
+            if self.holds {
+                return None;
+            }
+            if core::mem::take(&mut self.held) {
+                asked = OperatorEvent::GoOn;
+            }
+        }
+        Some(asked)
+    }
+
+    /// What the controller is told next at the run's end: to come to rest, then, when it is time, to let the arms have no torque.
+    pub(super) fn end(&mut self, releases: bool) -> Option<OperatorEvent> {
+        let wanted = match (self.ending, releases) {
+            (None, _) => OperatorEvent::Pause,
+            (Some(OperatorEvent::Pause), true) => OperatorEvent::Disable,
+            (Some(_), _) => return None,
+        };
+        self.ending = Some(wanted);
+        Some(wanted)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::Hold;
-    use trocar_control::OperatorEvent::{self, Disable, Enable, Pause, Resume, Speed};
+    use trocar_control::OperatorEvent::{self, Disable, Enable, GoOn, Pause, Resume, Speed};
 
     /// Each line: whether the run wants the arms to hold, what the operator asks for, what the controller hears.
     #[test]
@@ -67,16 +93,18 @@ mod tests {
         expect(true, None, Some(Pause));
         expect(true, Some(slow), Some(slow));
         expect(true, Some(Resume), None);
-        expect(false, None, Some(Resume));
+        expect(false, None, Some(GoOn));
         // The operator pauses while nobody answers, and goes on pausing.
         expect(true, None, Some(Pause));
         expect(true, Some(Pause), Some(Pause));
         expect(false, None, None);
+        expect(false, Some(Resume), Some(GoOn));
         expect(false, Some(Resume), Some(Resume));
         // And so if the pause is from before.
         expect(false, Some(Pause), Some(Pause));
         expect(true, None, Some(Pause));
         expect(false, None, None);
+        expect(false, Some(Resume), Some(GoOn));
         expect(false, Some(Resume), Some(Resume));
         // Disabled and enabled while nobody answers: the arm goes on holding.
         expect(true, None, Some(Pause));
@@ -84,11 +112,22 @@ mod tests {
         expect(true, Some(Enable), Some(Enable));
         expect(true, Some(Speed { percent: 30 }), Some(Pause));
         expect(true, None, None);
-        expect(false, None, Some(Resume));
+        expect(false, None, Some(GoOn));
         // The policy answers in that very tick.
         expect(true, None, Some(Pause));
         expect(true, Some(Enable), Some(Enable));
-        expect(false, None, Some(Resume));
+        expect(false, None, Some(GoOn));
         expect(false, None, None);
+    }
+
+    /// Once each, and in order, however late it is.
+    #[test]
+    fn a_run_ends_at_rest_and_then_without_torque() {
+        let mut hold = Hold::default();
+        let told = [false, false, true, true].map(|releases| hold.end(releases));
+        assert_eq!(told, [Some(Pause), None, Some(Disable), None]);
+        let mut hold = Hold::default();
+        let told = [true, true].map(|releases| hold.end(releases));
+        assert_eq!(told, [Some(Pause), Some(Disable)]);
     }
 }

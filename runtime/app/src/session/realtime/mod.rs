@@ -148,6 +148,8 @@ fn run_threads(
         signals: Arc::clone(&signals),
         operator,
         profile: plan.real_time.control,
+        fault_ends_run: plan.setup.robot.control.fault_ends_run,
+        overruns_max: plan.real_time.overruns_per_s_max,
         held,
     };
     let control = move || {

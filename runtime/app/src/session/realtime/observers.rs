@@ -14,8 +14,11 @@ use super::signals::Signals;
 use super::simulation_thread::{ConsoleView, Shown, SimulationThread};
 use super::threads::joined;
 use crate::mailbox::mailbox;
-use crate::rt::MonotonicClock;
+use crate::rt::{self, MonotonicClock};
 use crate::session::{Plan, SessionError};
+
+/// Time between two looks at what a log without frames is to say, ns.
+const TOLD_NS: u64 = 20_000_000;
 
 /// The threads before they run.
 pub(super) struct Observers {
@@ -62,7 +65,14 @@ impl Observers {
     ) -> Result<Simulated, SessionError> {
         let Self { cameras, states } = self;
         thread::scope(|scope| {
-            let cameras = cameras.map(|cameras| scope.spawn(|| cameras.run(log, signals)));
+            let cameras = match (cameras, log) {
+                (Some(cameras), log) => Some(scope.spawn(|| cameras.run(log, signals))),
+                (None, Some(log)) => {
+                    scope.spawn(|| write_told(log, signals));
+                    None
+                }
+                (None, None) => None,
+            };
             let states = states.map(|states| scope.spawn(|| states.run(signals)));
             let wakes = &mut simulation.shown.wakes;
             wakes.extend(cameras.iter().map(|thread| thread.thread().clone()));
@@ -74,6 +84,15 @@ impl Observers {
             Ok((simulated?, cameras.transpose()?))
         })
     }
+}
+
+/// Writes what the `log` is to say where no camera thread does, until the control thread has stopped.
+fn write_told(mut log: SideLog, signals: &Signals) {
+    while !signals.stopped() {
+        signals.write_told(Some(&mut log));
+        rt::sleep_ns(TOLD_NS);
+    }
+    signals.write_told(Some(&mut log));
 }
 
 /// Names of the cameras that are drawn for the log, the pictures and, if there is one, a policy process and others on its topics.

@@ -34,6 +34,8 @@ pub(super) struct Signals {
     lacking: AtomicU8,
     /// The first instant whose observation ends the hold for want of an answer, ns.
     answers_from: AtomicU64,
+    /// Periods that were skipped within a second, if these were too many; 0 if not.
+    overruns: AtomicU64,
     /// Where viewers hear what the log is to say.
     console: Option<Console>,
     /// What the log is to say of it; of no interest to the control thread.
@@ -57,6 +59,21 @@ impl Signals {
     /// Asks for rest and then the end.
     pub(super) fn end_run(&self) {
         self.done.store(true, Ordering::Release);
+    }
+
+    /// Asks for it since so many periods were skipped within a second, if nobody has before.
+    pub(super) fn overran(&self, skipped: u64) {
+        if !self.done() {
+            self.overruns.store(skipped, Ordering::Release);
+            self.end_run();
+        }
+    }
+
+    /// Why the run ended, if it was by overruns.
+    pub(super) fn overruns(&self) -> Option<String> {
+        let skipped = self.overruns.load(Ordering::Acquire);
+        (skipped > 0)
+            .then(|| format!("fault: the control thread skipped {skipped} periods within a second"))
     }
 
     /// Lets the drives have torque.

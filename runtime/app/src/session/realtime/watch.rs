@@ -59,5 +59,6 @@ pub(super) fn watch(
             None => rt::sleep_ns(IDLE_NS),
         }
     }
+    watched.ended_by = watched.ended_by.or_else(|| signals.overruns());
     Ok(watched)
 }

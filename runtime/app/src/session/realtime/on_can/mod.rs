@@ -34,7 +34,7 @@ use super::child::Outside;
 use super::control_thread::{ControlEnd, ControlThread};
 use super::drivers::Drivers;
 use super::opened::Opened;
-use super::robot::{RobotOptions, RobotThread};
+use super::robot::{RobotOptions, RobotThread, check_faults};
 use super::shown::show_rig;
 use super::signals::{Moving, StopsAll};
 use super::threads::{self, wired};
@@ -106,6 +106,7 @@ struct Begun<'a> {
 /// Opens the buses of the arms and joins the topics of their world, or of their cameras.
 fn begin<'a>(robot: &Robot, can: &'a CanOptions, say: Say<'a>) -> Result<Begun<'a>, SessionError> {
     check(&robot.name, robot.arms(), &can.config)?;
+    check_faults(robot)?;
     let clock = MonotonicClock::new();
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
     let arms = can.config.arms.iter().take(robot.arms());
@@ -239,6 +240,7 @@ impl Begun<'_> {
             controller: robot.controller()?,
             wires: wires.control,
             profile: plan.real_time.control,
+            overruns_max: plan.real_time.overruns_per_s_max,
             held: plan.real_time.hold()?,
         };
         let signals = Arc::clone(&enabling.wires.signals);
@@ -256,6 +258,7 @@ struct Enabling<'a> {
     controller: AnyController,
     wires: ControlWires,
     profile: RtOptions,
+    overruns_max: Option<u64>,
     held: Held,
 }
 
@@ -309,6 +312,8 @@ impl Enabling<'_> {
             signals: Arc::clone(&signals),
             operator,
             profile: self.profile,
+            overruns_max: self.overruns_max,
+            fault_ends_run: true,
             held: self.held,
         };
         let mut end = control.run(clock).with_rig(|observed| observed.rig);

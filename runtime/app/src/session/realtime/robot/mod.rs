@@ -5,12 +5,16 @@ mod own_rig;
 mod sight;
 mod thread;
 
+#[cfg(test)]
+mod tests;
+
 pub use own_rig::run_rig;
 pub(super) use thread::{RobotEnd, RobotThread};
 
 use super::watch::Watched;
 use crate::session::ended::Ended;
 use crate::session::run::{INTERRUPTED, STOPPED};
+use crate::session::{Robot, SessionError};
 
 /// What a run without a task is asked.
 #[derive(Clone, Debug, Default)]
@@ -19,6 +23,16 @@ pub struct RobotOptions {
     pub seconds: Option<f64>,
     /// Cameras whose frames the log keeps besides those that the policy sees.
     pub cameras: Vec<String>,
+}
+
+/// A robot's drives fault in states of their own, which end the run.
+pub(super) fn check_faults(robot: &Robot) -> Result<(), SessionError> {
+    if robot.control.fault_ends_run {
+        return Ok(());
+    }
+    let reason =
+        "control.toml: fault.ends_run = false is for simulated arms: a robot's fault ends its run";
+    Err(SessionError::BadArgument(reason.to_owned()))
 }
 
 /// Why a robot's run ended: a fault comes before what else ended it.

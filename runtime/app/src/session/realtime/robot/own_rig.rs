@@ -7,11 +7,12 @@ use hal::Rig;
 use super::super::control_thread::ControlThread;
 use super::super::drivers::Drivers;
 use super::super::ended::closed;
+use super::super::on_can::Camera;
 use super::super::shown::show_rig;
 use super::super::signals::Moving;
 use super::super::threads;
 use super::super::wires::{ControlWires, Wires};
-use super::{RobotOptions, RobotThread, robot_ended};
+use super::{RobotOptions, RobotThread, check_faults, robot_ended};
 use crate::rig::Observed;
 use crate::rt::{self, MonotonicClock};
 use crate::session::run::RunResult;
@@ -28,13 +29,25 @@ use crate::session::{Plan, Robot, SessionError};
 /// than `robot`; those of the policy and the log.
 pub fn run_rig<R: Rig + Send>(
     plan: &Plan<Robot>,
+    rig: (R, MonotonicClock),
+    source: ChunkSource,
+    asked: &RobotOptions,
+) -> Result<RunResult, SessionError> {
+    check_policy(&plan.policy.name(), &source)?;
+    run_seeing(plan, rig, source, asked, Vec::new())
+}
+
+/// The same while these cameras are looked through, without which the run does not go on; the policy is asked at the first one's frames.
+pub(super) fn run_seeing<R: Rig + Send>(
+    plan: &Plan<Robot>,
     (rig, clock): (R, MonotonicClock),
     mut source: ChunkSource,
     asked: &RobotOptions,
+    cameras: Vec<Camera>,
 ) -> Result<RunResult, SessionError> {
     plan.real_time.check()?;
     let robot = &plan.setup;
-    check_policy(&plan.policy.name(), &source)?;
+    check_faults(robot)?;
     source.reset(plan.seed);
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
     let mut wires = Wires::new((plan.open_log(false)?, plan.console.as_ref()), clock);
@@ -56,14 +69,17 @@ pub fn run_rig<R: Rig + Send>(
         signals: Arc::clone(&signals),
         operator,
         profile: plan.real_time.control,
+        fault_ends_run: true,
+        overruns_max: plan.real_time.overruns_per_s_max,
         held: plan.real_time.hold()?,
     };
     let local = Some((source, wires.chunk_in));
+    let looked_at = cameras.len();
     let robot_thread = RobotThread::new(
         wires.seen,
         local,
         Vec::new(),
-        (Vec::new(), 0),
+        (cameras, looked_at),
         (asked, (robot.control.supervision, plan.warn)),
     );
     let control = move || {

@@ -12,6 +12,9 @@ use super::super::signals::{Lacking, Signals};
 /// A camera that shows nothing for this long, or nothing but old frames, is gone, ns.
 const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
+/// How many values of a frame tell whether it is the one before.
+const SAMPLES: usize = 16_384;
+
 /// How a run is supervised, and who says on the terminal what happens.
 pub(super) type Rules = (Supervision, fn(&str));
 
@@ -22,6 +25,8 @@ pub(super) struct Sight {
     /// The size of each one's first frame, pixels, and what is said once one is of another.
     sizes: Vec<Option<(u32, u32)>>,
     resized: Option<String>,
+    /// Of each one's newest frame, a hash of its pixels, and since when they are the same.
+    pixels: Vec<(u64, TimeNs)>,
     rules: Supervision,
     /// Says on the terminal what happens.
     warn: fn(&str),
@@ -36,6 +41,7 @@ impl Sight {
     pub(super) fn new(names: Vec<String>, (rules, warn): Rules) -> Self {
         Self {
             sizes: vec![None; names.len()],
+            pixels: vec![(0, TimeNs(0)); names.len()],
             shown: names.into_iter().map(|name| (name, TimeNs(0))).collect(),
             resized: None,
             rules,
@@ -53,6 +59,7 @@ impl Sight {
     /// Begins at `now`: all that came before does not count.
     pub(super) fn begin(&mut self, now: TimeNs) {
         self.shown.iter_mut().for_each(|(_, shown)| *shown = now);
+        self.pixels.iter_mut().for_each(|(_, since)| *since = now);
     }
 
     /// Takes in the size of a frame of the camera at `index`, pixels.
@@ -66,6 +73,19 @@ impl Sight {
                 "camera {name} shows other frames than at first: {width} x {height} pixels"
             );
             self.resized = Some(told);
+        }
+    }
+
+    /// Takes in the `colour` of a frame of `now` of the camera at `index`, if it is to change within a time.
+    pub(super) fn coloured(&mut self, index: usize, colour: &[u8], now: TimeNs) {
+        if self.rules.frozen_ns.is_none() {
+            return;
+        }
+        if let Some((known, since)) = self.pixels.get_mut(index) {
+            let found = sampled(colour);
+            if *known != found {
+                (*known, *since) = (found, now);
+            }
         }
     }
 
@@ -105,6 +125,18 @@ impl Sight {
         let gone = cameras.find(|(_, shown)| now.since(*shown) > SILENCE_NS_MAX);
         let seconds = SILENCE_NS_MAX / 1_000_000_000;
         gone.map(|(name, _)| format!("camera {name} has published no frame for {seconds} s"))
+            .or_else(|| self.frozen())
+    }
+
+    /// Which camera has shown the same pixels for too long, in words; one that shows nothing repeats nothing.
+    fn frozen(&self) -> Option<String> {
+        let limit_ns = self.rules.frozen_ns?;
+        let mut cameras = self.shown.iter().zip(&self.pixels);
+        let frozen = cameras.find(|((_, shown), (_, since))| shown.since(*since) > limit_ns);
+        let seconds = TimeNs(limit_ns).seconds();
+        frozen.map(|((name, _), _)| {
+            format!("camera {name} has shown the very same pixels for {seconds} s")
+        })
     }
 
     /// Makes the arms hold; gives back `reason` if nothing is waited for.
@@ -128,4 +160,14 @@ impl Sight {
         signals.tell(now, level, text);
         (self.warn)(text);
     }
+}
+
+/// A hash of pixels evenly from a whole frame, FNV-1a.
+fn sampled(colour: &[u8]) -> u64 {
+    // Odd, so that all channels are sampled.
+    let every = (colour.len() / SAMPLES) | 1;
+    let samples = colour.iter().step_by(every);
+    samples.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
+    })
 }

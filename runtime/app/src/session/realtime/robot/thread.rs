@@ -199,6 +199,7 @@ impl RobotThread {
             // A camera that lags shows nothing of now.
             if now.since(stamp) <= FRAME_NS_MAX {
                 self.sight.saw(index, now);
+                self.sight.coloured(index, view.colour(), now);
             }
             if index == 0 {
                 taken = Some(stamp);

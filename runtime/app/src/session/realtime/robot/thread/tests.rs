@@ -44,6 +44,8 @@ enum Camera {
     Dies,
     /// It shows the same exposure again and again.
     Freezes,
+    /// It stamps the same pixels anew.
+    Repeats,
     /// It shows frames of another size.
     Grows,
     /// It dies, and another takes its place once the arms hold.
@@ -52,12 +54,12 @@ enum Camera {
     Lives,
 }
 
-/// Publishes a frame of `side` by `side` pixels that was exposed at `stamp`.
-fn show(camera: &mut FramePublisher, side: u32, stamp: TimeNs) {
+/// Publishes a frame of `side` by `side` pixels of that `grey` that was exposed at `stamp`.
+fn show(camera: &mut FramePublisher, side: u32, stamp: TimeNs, grey: u8) {
     let lens = Intrinsics::from_vertical_fov(side, side, 0.9);
     let header = FrameHeader::new(stamp, 1, lens, &Pose::identity());
     let blank = |colour: &mut [u8], depth_m: &mut [f32], instance: &mut [u8]| {
-        colour.fill(0);
+        colour.fill(grey);
         depth_m.fill(0.0);
         instance.fill(0);
     };
@@ -82,6 +84,7 @@ fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
         restarts: times,
         backoff_ns: 0,
         return_ns: 60_000 * MS_NS,
+        frozen_ns: Some(500 * MS_NS),
     };
     let supervised = (rules, (|_| ()) as fn(&str));
     let robot = RobotThread::new(wires.seen, None, Vec::new(), cameras, (&asked, supervised));
@@ -95,16 +98,20 @@ fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
                 let now = clock.now();
                 control.measured.put(state(now.0 / MS_NS, 0.0));
                 let (stamp, late) = (clock.to_system(now), tick > 100);
+                let [grey, ..] = tick.to_le_bytes();
                 match (&mut camera, does) {
                     (Some(_), Camera::Dies) if late => camera = None,
                     (Some(_), Camera::Returns) if late && !was_gone => {
                         camera = None;
                         was_gone = true;
                     }
-                    (Some(camera), Camera::Freezes) => show(camera, 4, frozen),
-                    (Some(camera), Camera::Grows) => show(camera, if late { 8 } else { 4 }, stamp),
+                    (Some(camera), Camera::Freezes) => show(camera, 4, frozen, grey),
+                    (Some(camera), Camera::Repeats) => show(camera, 4, stamp, 96),
+                    (Some(camera), Camera::Grows) => {
+                        show(camera, if late { 8 } else { 4 }, stamp, grey)
+                    }
                     (Some(camera), Camera::Dies | Camera::Returns | Camera::Lives) => {
-                        show(camera, 4, stamp);
+                        show(camera, 4, stamp, grey);
                     }
                     (None, Camera::Returns) if signals.lacks(Lacking::Frames) => {
                         camera = Some(CameraTopic::publisher(&node, "scope", 64).unwrap());
@@ -134,10 +141,12 @@ fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
 #[test]
 fn cameras_that_fail_end_the_run_by_name() {
     let silent = "camera scope has published no frame for 2 s";
+    let repeated = "camera scope has shown the very same pixels for 0.5 s";
     let resized = "camera scope shows other frames than at first: 8 x 8 pixels";
     let cases = [
         (Camera::Dies, silent),
         (Camera::Freezes, silent),
+        (Camera::Repeats, repeated),
         (Camera::Grows, resized),
     ];
     let clock = MonotonicClock::new();
