@@ -90,6 +90,45 @@ impl Arm {
         }
     }
 
+    /// Checks the motion that a command begins, goes on with or ends.
+    fn motion(
+        &mut self,
+        ledger: &mut Ledger,
+        command: &ArmCommand,
+        at: &Instrument,
+        measured_now: &Result<ArmState, ArmError>,
+    ) {
+        if !command.enabled {
+            self.without_torque(ledger, command, at, measured_now);
+            return;
+        }
+        if let (Before::Beginning | Before::Limp(_), Ok(state)) = (self.before, measured_now) {
+            self.begin(state);
+        }
+        self.powered(ledger, command, at);
+        self.before = Before::Powered;
+    }
+
+    /// Checks a command that leaves the drives without torque.
+    fn without_torque(
+        &mut self,
+        ledger: &mut Ledger,
+        command: &ArmCommand,
+        at: &Instrument,
+        measured_now: &Result<ArmState, ArmError>,
+    ) {
+        match self.before {
+            // Torque goes when the arm rests: this last setpoint is still part of the motion.
+            Before::Powered => self.powered(ledger, command, at),
+            Before::Limp(held) => self.limp(ledger, command, measured_now, Some(held)),
+            Before::Beginning => self.limp(ledger, command, measured_now, None),
+            Before::Gap => {}
+        }
+        self.still(ledger, command);
+        self.forget();
+        self.before = Before::Limp(positions(command));
+    }
+
     /// Checks the next command.
     pub(super) fn tick(
         &mut self,
@@ -100,40 +139,28 @@ impl Arm {
         self.stamp(ledger, command);
         let at = self.instrument(&positions(command));
         let was_powered = matches!(self.before, Before::Powered);
-        let measured = possible(measured_now)
-            .filter(|_| was_powered || command.enabled)
-            .map(|state| self.instrument(&axes(&state.position, state.jaw_position)));
-        if command.enabled && !was_powered {
+        let gained = command.enabled && !was_powered;
+        if gained {
             self.measured.begin();
         }
-        if let Some(at) = &measured {
-            self.measured.tick(ledger, at);
-        }
-        if command.enabled {
-            if let (Before::Beginning | Before::Limp(_), Ok(state)) = (self.before, measured_now) {
-                self.begin(state);
-            }
-            self.powered(ledger, command, &at);
-            self.before = Before::Powered;
-        } else {
-            match self.before {
-                // Torque goes when the arm rests: this last setpoint is still part of the motion.
-                Before::Powered => self.powered(ledger, command, &at),
-                Before::Limp(held) => self.limp(ledger, command, measured_now, Some(held)),
-                Before::Beginning => self.limp(ledger, command, measured_now, None),
-                Before::Gap => {}
-            }
-            self.still(ledger, command);
-            self.forget();
-            self.before = Before::Limp(positions(command));
-        }
+        let measured = possible(measured_now)
+            .filter(|_| was_powered || command.enabled)
+            .map(|state| self.measure(ledger, state));
+        self.motion(ledger, command, &at, measured_now);
         self.newest = Some(Newest {
             command: *command,
             at,
             powered: was_powered || command.enabled,
-            gained: command.enabled && !was_powered,
+            gained,
             measured,
         });
+    }
+
+    /// Checks where the arm is measured.
+    fn measure(&mut self, ledger: &mut Ledger, state: &ArmState) -> Instrument {
+        let at = self.instrument(&axes(&state.position, state.jaw_position));
+        self.measured.tick(ledger, &at);
+        at
     }
 
     /// The instrument with its joints and jaw at `positions`.

@@ -58,6 +58,14 @@ impl History {
         self.count = 0;
     }
 
+    /// What the sample at `index`, of that `age`, is divided by.
+    fn divisor(&self, index: usize, age: f64, order: usize) -> f64 {
+        // Whole numbers, so that the weights are those of the binomials where no period was skipped.
+        let others = self.ages.iter().take(order + 1).enumerate();
+        let distances = others.filter(|(other, _)| *other != index);
+        distances.map(|(_, other)| other - age).product()
+    }
+
     /// Difference quotient of `order` 1 (velocity), 2 (acceleration) or 3 (jerk) of one axis; `None` while there are
     /// too few samples.
     pub(super) fn quotient(&self, axis: usize, order: usize, period_s: f64) -> Option<Quotient> {
@@ -69,10 +77,7 @@ impl History {
         let mut sum = 0.0;
         let mut rounding = 0.0;
         for (index, (sample, age)) in taken.enumerate() {
-            // Whole numbers, so that the weights are those of the binomials where no period was skipped.
-            let others = self.ages.iter().take(order + 1).enumerate();
-            let distances = others.filter(|(other, _)| *other != index);
-            let weight = factorial / distances.map(|(_, other)| other - age).product::<f64>();
+            let weight = factorial / self.divisor(index, *age, order);
             sum += weight * sample[axis];
             // Each sample carries half a unit in the last place, and so does each sum.
             rounding += 2.0 * weight.abs() * sample[axis].abs() * f64::EPSILON;

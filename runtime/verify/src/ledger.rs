@@ -54,6 +54,27 @@ struct Extreme {
     excess: f64,
 }
 
+impl Limit {
+    fn keep_worst(&mut self, extreme: Extreme) {
+        let no_worse = self
+            .worst
+            .is_some_and(|worst| extreme.excess <= worst.excess || worst.excess.is_nan());
+        if !no_worse {
+            self.worst = Some(extreme);
+        }
+    }
+
+    fn violated(&self, extreme: &Extreme) -> Violation {
+        Violation {
+            tick: extreme.tick,
+            arm: self.arm.clone(),
+            limit: self.name.clone(),
+            value: extreme.value,
+            bound: extreme.bound,
+        }
+    }
+}
+
 impl Ledger {
     /// A new limit called `name`. Names are made here once, not where the limit is checked.
     pub(super) fn open(&mut self, arm: &str, name: String) -> LimitId {
@@ -79,29 +100,19 @@ impl Ledger {
         let Some(entry) = self.limits.get_mut(limit.0) else {
             return;
         };
-        let no_worse = entry
-            .worst
-            .is_some_and(|worst| excess <= worst.excess || worst.excess.is_nan());
-        if !no_worse {
-            entry.worst = Some(Extreme {
-                tick: self.tick,
-                value,
-                bound,
-                excess,
-            });
-        }
+        let extreme = Extreme {
+            tick: self.tick,
+            value,
+            bound,
+            excess,
+        };
+        entry.keep_worst(extreme);
         let fine = excess <= tolerance;
         if !fine {
             entry.broken += 1;
             self.count += 1;
             if self.violations.len() < KEPT_MAX {
-                self.violations.push(Violation {
-                    tick: self.tick,
-                    arm: entry.arm.clone(),
-                    limit: entry.name.clone(),
-                    value,
-                    bound,
-                });
+                self.violations.push(entry.violated(&extreme));
             }
         }
     }

@@ -71,22 +71,13 @@ impl Limits {
             Document::parse(SAFETY, safety)?,
         );
         let (control, safety) = (control.root(), safety.root());
-        let names = JOINT_NAMES.into_iter().chain(["jaw"]).enumerate();
-        let axes = names.map(|(index, name)| axis(&control, index, name));
-        let axes: Vec<_> = axes.collect::<Result<_, _>>()?;
-        debug_assert_eq!(axes.len(), AXES);
+        let axes = axes(&control)?;
         let arms: Vec<_> = each(&safety, "arm", arm)?;
         if arms.is_empty() {
             return Err(safety.missing("arm"));
         }
-        let between_arms = if arms.len() > 1 || safety.has("between_arms") {
-            Some(BetweenArms {
-                shaft_to_shaft_m: safety.number("between_arms.shaft_to_shaft_m")?,
-                tip_to_shaft_m: safety.number("between_arms.tip_to_shaft_m")?,
-            })
-        } else {
-            None
-        };
+        let has_gaps = arms.len() > 1 || safety.has("between_arms");
+        let between_arms = has_gaps.then(|| between_arms(&safety)).transpose()?;
         Ok(Self {
             axes,
             tip_speed_m_s: control.number("limits.tip_speed_m_s")?,
@@ -135,7 +126,36 @@ fn arm(entry: &Entry<'_>) -> Result<ArmLimits, VerifyError> {
     })
 }
 
+fn axes(control: &Entry<'_>) -> Result<Vec<AxisLimits>, VerifyError> {
+    let names = JOINT_NAMES.into_iter().chain(["jaw"]).enumerate();
+    let axes = names.map(|(index, name)| axis(control, index, name));
+    let axes: Vec<_> = axes.collect::<Result<_, _>>()?;
+    debug_assert_eq!(axes.len(), AXES);
+    Ok(axes)
+}
+
+fn between_arms(safety: &Entry<'_>) -> Result<BetweenArms, VerifyError> {
+    Ok(BetweenArms {
+        shaft_to_shaft_m: safety.number("between_arms.shaft_to_shaft_m")?,
+        tip_to_shaft_m: safety.number("between_arms.tip_to_shaft_m")?,
+    })
+}
+
 fn region(entry: &Entry<'_>) -> Result<Region, VerifyError> {
+    let shape = shape(entry)?;
+    Ok(Region {
+        name: entry.text("name")?.to_owned(),
+        shape,
+    })
+}
+
+/// The direction of the vector at `key`, which must be of length 0.5 or more.
+fn unit(entry: &Entry<'_>, key: &str) -> Result<Vector3<f64>, VerifyError> {
+    let normal = entry.vector(key)?.try_normalize(0.5);
+    normal.ok_or_else(|| entry.missing(key))
+}
+
+fn shape(entry: &Entry<'_>) -> Result<Shape, VerifyError> {
     let point = |key: &str| entry.vector(key).map(Point3::from);
     let shape = match entry.text("shape")? {
         "sphere" => Shape::Sphere {
@@ -147,23 +167,17 @@ fn region(entry: &Entry<'_>) -> Result<Region, VerifyError> {
             end: point("to_m")?,
             radius_m: entry.number("radius_m")?,
         },
-        "half_space" => {
-            let normal = entry.vector("normal")?.try_normalize(0.5);
-            Shape::HalfSpace {
-                point: point("point_m")?,
-                normal: normal.ok_or_else(|| entry.missing("normal"))?,
-            }
-        }
+        "half_space" => Shape::HalfSpace {
+            point: point("point_m")?,
+            normal: unit(entry, "normal")?,
+        },
         "box" => Shape::Box {
             box_from_scene: pose(&entry.vector("center_m")?, &entry.vector("rpy_rad")?).inverse(),
             half_m: entry.vector("size_m")? / 2.0,
         },
         _ => return Err(entry.missing("shape")),
     };
-    Ok(Region {
-        name: entry.text("name")?.to_owned(),
-        shape,
-    })
+    Ok(shape)
 }
 
 /// A frame at `place_m`, turned by roll about the fixed x, then pitch about the fixed y, then yaw about the fixed z.

@@ -25,6 +25,14 @@ pub(super) struct Pair {
     within_m: f64,
 }
 
+fn gap_names(first: &str, second: &str) -> [String; GAPS] {
+    core::array::from_fn(|index| match index {
+        0 => "shaft.shaft".to_owned(),
+        1..4 => format!("{first}_{}.{second}_shaft", LINK_NAMES[index]),
+        _ => format!("{second}_{}.{first}_shaft", LINK_NAMES[index - 3]),
+    })
+}
+
 impl Pair {
     pub(super) fn new(ledger: &mut Ledger, limits: &Limits, between: &BetweenArms) -> Option<Self> {
         let [first, second] = limits.arms.as_slice() else {
@@ -32,11 +40,7 @@ impl Pair {
         };
         let (first, second) = (first.name.as_str(), second.name.as_str());
         let both = format!("{first}+{second}");
-        let names: [String; GAPS] = core::array::from_fn(|index| match index {
-            0 => "shaft.shaft".to_owned(),
-            1..4 => format!("{first}_{}.{second}_shaft", LINK_NAMES[index]),
-            _ => format!("{second}_{}.{first}_shaft", LINK_NAMES[index - 3]),
-        });
+        let names = gap_names(first, second);
         let keep_m = core::array::from_fn(|index| match index {
             0 => between.shaft_to_shaft_m,
             _ => between.tip_to_shaft_m,

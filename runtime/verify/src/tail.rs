@@ -1,7 +1,7 @@
 //! Checks the stop that travels with a command, by playing it.
 
 use hal::SafeTail;
-use hal::tail::TailPhase;
+use hal::tail::{AxisTail, TailPhase};
 
 use super::arm::{Arm, Newest, positions, velocities};
 use super::axis::{DERIVATIVES, PERIOD_S, REST, SHARE};
@@ -72,7 +72,24 @@ struct Player {
     rests: bool,
 }
 
+/// An arm's place, its newest command, and its axes.
+type Playing = (usize, Newest, [Player; AXES]);
+
 impl Player {
+    fn new(tail: &AxisTail) -> Self {
+        let start = &tail.start;
+        Self {
+            state: [start.position, start.velocity, start.acceleration],
+            phases: tail.phases,
+            rests: false,
+        }
+    }
+
+    /// How long the tail still lasts, s.
+    fn left_s(&self) -> f64 {
+        self.phases.iter().map(duration_s).sum()
+    }
+
     /// Plays `time_s` further and checks the derivatives on the way.
     fn play(&mut self, ledger: &mut Ledger, axis: &TailAxis, time_s: f64) {
         let mut left_s = time_s;
@@ -94,12 +111,17 @@ impl Player {
             }
         }
         if left_s > 0.0 && !self.rests {
-            self.rests = true;
-            let [_, velocity, acceleration] = &mut self.state;
-            for (limit, value) in axis.rest.into_iter().zip([velocity, acceleration]) {
-                ledger.judge(limit, value.abs(), SAME, *value, 0.0);
-                *value = 0.0;
-            }
+            self.rest(ledger, axis);
+        }
+    }
+
+    /// Checks that the axis is at rest when its tail is over.
+    fn rest(&mut self, ledger: &mut Ledger, axis: &TailAxis) {
+        self.rests = true;
+        let [_, velocity, acceleration] = &mut self.state;
+        for (limit, value) in axis.rest.into_iter().zip([velocity, acceleration]) {
+            ledger.judge(limit, value.abs(), SAME, *value, 0.0);
+            *value = 0.0;
         }
     }
 }
@@ -151,19 +173,9 @@ impl Tails {
         mut pair: Option<&mut Pair>,
         tails: &[&SafeTail],
     ) {
-        let mut playing: Vec<_> = Vec::with_capacity(arms.len());
-        let mut longest_s = 0.0_f64;
-        for (index, (arm, tail)) in arms.iter_mut().zip(tails).enumerate() {
-            let Some(newest) = arm.newest else {
-                continue;
-            };
-            let players = self.begin(ledger, index, &newest, tail);
-            let seconds = players.iter().map(|player| player.phases.iter());
-            longest_s = seconds.fold(longest_s, |longest, phases| {
-                longest.max(phases.map(duration_s).sum())
-            });
-            playing.push((index, newest, players));
-        }
+        let mut playing = self.begin_all(ledger, arms, tails);
+        let players = playing.iter().flat_map(|(_, _, players)| players);
+        let longest_s = players.map(Player::left_s).fold(0.0, f64::max);
         if playing.len() < arms.iter().filter(|arm| arm.newest.is_some()).count()
             || playing.len() < tails.len()
         {
@@ -173,18 +185,41 @@ impl Tails {
         // One step further than the end, where everything rests.
         while played_s <= longest_s + PERIOD_S {
             played_s += PERIOD_S;
-            for (index, newest, players) in &mut playing {
-                if let Some(arm) = arms.get_mut(*index) {
-                    self.step(ledger, *index, arm, newest, players);
-                }
-            }
-            if let [(_, first, _), (_, second, _)] = playing.as_slice()
-                && (first.powered || second.powered)
-                && let Some(pair) = &mut pair
-            {
-                pair.check(ledger, Moment::Tail, &[first.at, second.at]);
+            self.step_all(ledger, arms, pair.as_deref_mut(), &mut playing);
+        }
+    }
+
+    /// Plays the tails of all arms for a period and checks where the arms are then, each and beside each other.
+    fn step_all(
+        &self,
+        ledger: &mut Ledger,
+        arms: &mut [Arm],
+        pair: Option<&mut Pair>,
+        playing: &mut [Playing],
+    ) {
+        for (index, newest, players) in &mut *playing {
+            if let Some(arm) = arms.get_mut(*index) {
+                self.step(ledger, *index, arm, newest, players);
             }
         }
+        if let [(_, first, _), (_, second, _)] = playing
+            && (first.powered || second.powered)
+            && let Some(pair) = pair
+        {
+            pair.check(ledger, Moment::Tail, &[first.at, second.at]);
+        }
+    }
+
+    /// The tails of all arms that have a command.
+    fn begin_all(&self, ledger: &mut Ledger, arms: &[Arm], tails: &[&SafeTail]) -> Vec<Playing> {
+        let mut playing = Vec::with_capacity(arms.len());
+        for (index, (arm, tail)) in arms.iter().zip(tails).enumerate() {
+            if let Some(newest) = arm.newest {
+                let players = self.begin(ledger, index, &newest, tail);
+                playing.push((index, newest, players));
+            }
+        }
+        playing
     }
 
     /// Checks that a tail begins with its command, and winds it to there.
@@ -216,12 +251,7 @@ impl Tails {
                 0.0
             };
             ledger.judge(limits.duration, total_s - bound, SAME, total_s, bound);
-            let start = &given.start;
-            let mut player = Player {
-                state: [start.position, start.velocity, start.acceleration],
-                phases: given.phases,
-                rests: false,
-            };
+            let mut player = Player::new(given);
             // NaN and what is far too long are not played.
             let playable = total_s <= bound + SAME;
             if !playable {

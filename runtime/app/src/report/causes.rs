@@ -2,8 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use super::load::Results;
+use super::load::{Results, Trial};
 use super::tables::{Table, entries_of};
+
+/// Why `trial` was lost or is invalid, if it was or is, without its numbers.
+fn loss(trial: &Trial) -> Option<String> {
+    if trial.success && !trial.invalid {
+        return None;
+    }
+    let kind = if trial.invalid { "invalid: " } else { "" };
+    Some(format!("{kind}{}", without_numbers(&trial.reason)))
+}
 
 /// Why trials were lost: reasons without their numbers, with how often each column had it.
 #[must_use]
@@ -18,12 +27,7 @@ pub(super) fn losses(results: &Results, table: &Table) -> Vec<(String, Vec<usize
         else {
             continue;
         };
-        for trial in &evaluation.trials {
-            if trial.success && !trial.invalid {
-                continue;
-            }
-            let kind = if trial.invalid { "invalid: " } else { "" };
-            let reason = format!("{kind}{}", without_numbers(&trial.reason));
+        for reason in evaluation.trials.iter().filter_map(loss) {
             let row = counts
                 .entry(reason)
                 .or_insert_with(|| vec![0; table.columns.len()]);

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::load::Results;
 use super::statistics::{Pairs, holm};
-use super::tables::{Table, entries_of};
+use super::tables::{Row, Table, entries_of};
 use crate::study::axis::Coordinates;
 
 /// Two columns of a row, compared by trials of the same seed.
@@ -37,53 +37,68 @@ pub fn comparisons(results: &Results, table: &Table) -> Vec<Comparison> {
                     continue;
                 };
                 let pairs = pairs(results, table, &one.at, &other.at);
-                if pairs == Pairs::default() {
-                    continue;
+                if pairs != Pairs::default() {
+                    let columns = [index, index + 1 + offset];
+                    found.push(comparison(table, row, columns, pairs));
                 }
-                found.push(Comparison {
-                    row: row.labels.clone(),
-                    first: table.columns[index].clone(),
-                    second: table.columns[index + 1 + offset].clone(),
-                    pairs,
-                    p: pairs.mcnemar(),
-                    p_holm: 1.0,
-                });
             }
         }
     }
-    let corrected = holm(
-        &found
-            .iter()
-            .map(|comparison| comparison.p)
-            .collect::<Vec<_>>(),
-    );
-    for (comparison, p) in found.iter_mut().zip(corrected) {
+    correct(&mut found);
+    found
+}
+
+/// Two `columns` in `row`, not corrected yet.
+fn comparison(table: &Table, row: &Row, columns: [usize; 2], pairs: Pairs) -> Comparison {
+    let [first, second] = columns.map(|column| table.columns[column].clone());
+    Comparison {
+        row: row.labels.clone(),
+        first,
+        second,
+        pairs,
+        p: pairs.mcnemar(),
+        p_holm: 1.0,
+    }
+}
+
+/// Corrects the probabilities for how many comparisons there are.
+fn correct(comparisons: &mut [Comparison]) {
+    let p: Vec<f64> = comparisons.iter().map(|comparison| comparison.p).collect();
+    for (comparison, p) in comparisons.iter_mut().zip(holm(&p)) {
         comparison.p_holm = p;
     }
-    found
+}
+
+/// Whether the valid trials at `at` succeeded, by training seed and trial seed.
+fn successes(
+    results: &Results,
+    table: &Table,
+    at: &Coordinates,
+) -> BTreeMap<(Option<u64>, u64), bool> {
+    let mut trials = BTreeMap::new();
+    for entry in entries_of(&results.study, &table.grid) {
+        let evaluation = results
+            .evaluations
+            .get(&entry.evaluation)
+            .filter(|_| entry.at == *at);
+        for trial in evaluation
+            .into_iter()
+            .flat_map(|evaluation| &evaluation.trials)
+        {
+            if !trial.invalid {
+                trials.insert((entry.training_seed, trial.seed), trial.success);
+            }
+        }
+    }
+    trials
 }
 
 /// Trials at two places that have the same seed and, of what is trained, come from the same training seed.
 fn pairs(results: &Results, table: &Table, one: &Coordinates, other: &Coordinates) -> Pairs {
-    let of = |at: &Coordinates| {
-        let mut trials = BTreeMap::new();
-        for entry in entries_of(&results.study, &table.grid) {
-            let evaluation = results
-                .evaluations
-                .get(&entry.evaluation)
-                .filter(|_| entry.at == *at);
-            for trial in evaluation
-                .into_iter()
-                .flat_map(|evaluation| &evaluation.trials)
-            {
-                if !trial.invalid {
-                    trials.insert((entry.training_seed, trial.seed), trial.success);
-                }
-            }
-        }
-        trials
-    };
-    let (ours, theirs) = (of(one), of(other));
+    let (ours, theirs) = (
+        successes(results, table, one),
+        successes(results, table, other),
+    );
     let untrained = |seed: u64| theirs.get(&(None, seed));
     let mut pairs = Pairs::default();
     for ((training, seed), success) in &ours {

@@ -52,32 +52,38 @@ fn add(body: &mut String, block: &Block) {
             body.push_str(&format!("<p>{}</p>\n", inlines(line)));
         }
         Block::Table { head, rows } => table(body, head, rows),
-        Block::Plot { title, svg } => {
-            let title = escape(title);
-            body.push_str(&format!(
-                "<figure role=\"img\" aria-label=\"{title}\">{svg}<figcaption>{title}</figcaption></figure>\n"
-            ));
-        }
-        Block::Picture { title, png } => {
-            let (title, data) = (escape(title), STANDARD.encode(png));
-            body.push_str(&format!(
-                "<figure><img alt=\"{title}\" src=\"data:image/png;base64,{data}\"><figcaption>{title}</figcaption></figure>\n"
-            ));
-        }
-        Block::Details(summary, blocks) => {
-            body.push_str(&format!(
-                "<details><summary>{}</summary>\n",
-                escape(summary)
-            ));
-            for block in blocks {
-                add(body, block);
-            }
-            body.push_str("</details>\n");
-        }
+        Block::Plot { title, svg } => body.push_str(&plot(title, svg)),
+        Block::Picture { title, png } => body.push_str(&picture(title, png)),
+        Block::Details(summary, blocks) => details(body, summary, blocks),
         Block::Verbatim(text) => {
             body.push_str(&format!("<pre>{}</pre>\n", escape(text)));
         }
     }
+}
+
+fn details(body: &mut String, summary: &str, blocks: &[Block]) {
+    body.push_str(&format!(
+        "<details><summary>{}</summary>\n",
+        escape(summary)
+    ));
+    for block in blocks {
+        add(body, block);
+    }
+    body.push_str("</details>\n");
+}
+
+fn plot(title: &str, svg: &str) -> String {
+    let title = escape(title);
+    format!(
+        "<figure role=\"img\" aria-label=\"{title}\">{svg}<figcaption>{title}</figcaption></figure>\n"
+    )
+}
+
+fn picture(title: &str, png: &[u8]) -> String {
+    let (title, data) = (escape(title), STANDARD.encode(png));
+    format!(
+        "<figure><img alt=\"{title}\" src=\"data:image/png;base64,{data}\"><figcaption>{title}</figcaption></figure>\n"
+    )
 }
 
 fn table(body: &mut String, head: &[String], rows: &[Vec<TableCell>]) {
@@ -89,24 +95,28 @@ fn table(body: &mut String, head: &[String], rows: &[Vec<TableCell>]) {
     for row in rows {
         body.push_str("<tr>");
         for cell in row {
-            let tone = match cell.tone {
-                Tone::Plain => "",
-                Tone::Reached => " reached",
-                Tone::Below => " below",
-            };
-            let number = if cell.number { "number" } else { "text" };
-            let lines = cell
-                .lines
-                .iter()
-                .map(|line| format!("<div>{}</div>", inlines(line)));
-            body.push_str(&format!(
-                "<td class=\"{number}{tone}\">{}</td>",
-                lines.collect::<String>()
-            ));
+            body.push_str(&table_cell(cell));
         }
         body.push_str("</tr>\n");
     }
     body.push_str("</tbody></table></div>\n");
+}
+
+fn table_cell(cell: &TableCell) -> String {
+    let tone = match cell.tone {
+        Tone::Plain => "",
+        Tone::Reached => " reached",
+        Tone::Below => " below",
+    };
+    let number = if cell.number { "number" } else { "text" };
+    let lines = cell
+        .lines
+        .iter()
+        .map(|line| format!("<div>{}</div>", inlines(line)));
+    format!(
+        "<td class=\"{number}{tone}\">{}</td>",
+        lines.collect::<String>()
+    )
 }
 
 fn inlines(line: &[Inline]) -> String {

@@ -121,36 +121,7 @@ impl Results {
     /// # Errors
     /// [`StudyError`] if one of them is no study's, or of another grid than the first.
     pub fn read(folders: &[PathBuf]) -> Result<Self, StudyError> {
-        let mut stores = Vec::new();
-        let mut first: Option<(StudyRecord, &Path)> = None;
-        for folder in folders {
-            let store = Store::new(folder.clone());
-            let study = store.study()?.ok_or_else(|| {
-                StudyError::BadArgument(format!(
-                    "{}: has no study.json: it is no folder of `trocar study`",
-                    folder.display()
-                ))
-            })?;
-            match &first {
-                None => first = Some((study, folder)),
-                Some((known, _)) if known.grid == study.grid => {}
-                Some((known, other)) => {
-                    return Err(StudyError::BadArgument(format!(
-                        "{} is of grid {} ({}), and {} of grid {} ({}): only shards of one grid make one report",
-                        folder.display(),
-                        study.grid.short(),
-                        study.title,
-                        other.display(),
-                        known.grid.short(),
-                        known.title
-                    )));
-                }
-            }
-            stores.push(store);
-        }
-        let Some((study, _)) = first else {
-            return Err(StudyError::BadArgument("no folder to report".to_owned()));
-        };
+        let (study, stores) = open(folders)?;
         let mut results = Self {
             study,
             evaluations: BTreeMap::new(),
@@ -240,4 +211,46 @@ fn read_curve(path: &Path) -> Vec<LossRow> {
         (row.loss.is_finite() && row.loss > 0.0).then_some(row)
     });
     rows.collect()
+}
+
+fn other_grid(
+    (study, folder): (&StudyRecord, &Path),
+    (known, other): (&StudyRecord, &Path),
+) -> StudyError {
+    StudyError::BadArgument(format!(
+        "{} is of grid {} ({}), and {} of grid {} ({}): only shards of one grid make one report",
+        folder.display(),
+        study.grid.short(),
+        study.title,
+        other.display(),
+        known.grid.short(),
+        known.title
+    ))
+}
+
+/// The study in `folders`, whose grid is one, with the store in each.
+fn open(folders: &[PathBuf]) -> Result<(StudyRecord, Vec<Store>), StudyError> {
+    let mut stores = Vec::new();
+    let mut first: Option<(StudyRecord, &Path)> = None;
+    for folder in folders {
+        let store = Store::new(folder.clone());
+        let study = store.study()?.ok_or_else(|| {
+            StudyError::BadArgument(format!(
+                "{}: has no study.json: it is no folder of `trocar study`",
+                folder.display()
+            ))
+        })?;
+        match &first {
+            None => first = Some((study, folder)),
+            Some((known, _)) if known.grid == study.grid => {}
+            Some((known, other)) => {
+                return Err(other_grid((&study, folder), (known, other)));
+            }
+        }
+        stores.push(store);
+    }
+    let Some((study, _)) = first else {
+        return Err(StudyError::BadArgument("no folder to report".to_owned()));
+    };
+    Ok((study, stores))
 }

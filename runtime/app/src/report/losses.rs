@@ -15,40 +15,7 @@ const STRIPS_ALL: usize = 60;
 /// The lost and the invalid trials of every evaluation; links lead from the folder `from`.
 #[must_use]
 pub(super) fn losses_of_trials(results: &Results, from: &Path) -> Vec<Block> {
-    let mut blocks = Vec::new();
-    let mut strips = 0;
-    for (address, evaluation) in results.in_order() {
-        let lost: Vec<&Trial> = evaluation
-            .trials
-            .iter()
-            .filter(|trial| trial.is_lost() || trial.invalid)
-            .collect();
-        if lost.is_empty() {
-            continue;
-        }
-        let mut inner = vec![trials(evaluation, &lost, from)];
-        let mut shown = 0;
-        for trial in &lost {
-            if shown == STRIPS_EACH || strips == STRIPS_ALL {
-                break;
-            }
-            if let Some(png) = strips::strip_of(evaluation, trial) {
-                let title = format!(
-                    "seed {}: {}, {:.2} s",
-                    trial.seed, trial.reason, trial.seconds
-                );
-                inner.push(Block::Picture { title, png });
-                shown += 1;
-                strips += 1;
-            }
-        }
-        let cell = results.study.cells.get(address);
-        let label = cell.map_or_else(|| address.to_string(), |cell| cell.label.clone());
-        blocks.push(Block::Details(
-            format!("{label}: {} lost or invalid", lost.len()),
-            inner,
-        ));
-    }
+    let blocks = evaluations_with_losses(results, from);
     if blocks.is_empty() {
         return blocks;
     }
@@ -61,24 +28,58 @@ pub(super) fn losses_of_trials(results: &Results, from: &Path) -> Vec<Block> {
     head.into_iter().chain(blocks).collect()
 }
 
+fn evaluations_with_losses(results: &Results, from: &Path) -> Vec<Block> {
+    let mut blocks = Vec::new();
+    let mut room = STRIPS_ALL;
+    for (address, evaluation) in results.in_order() {
+        let lost: Vec<&Trial> = evaluation
+            .trials
+            .iter()
+            .filter(|trial| trial.is_lost() || trial.invalid)
+            .collect();
+        if lost.is_empty() {
+            continue;
+        }
+        let mut inner = vec![trials(evaluation, &lost, from)];
+        let pictures = lost.iter().filter_map(|trial| picture(evaluation, trial));
+        inner.extend(pictures.take(room.min(STRIPS_EACH)));
+        room -= inner.len() - 1;
+        let cell = results.study.cells.get(address);
+        let label = cell.map_or_else(|| address.to_string(), |cell| cell.label.clone());
+        blocks.push(Block::Details(
+            format!("{label}: {} lost or invalid", lost.len()),
+            inner,
+        ));
+    }
+    blocks
+}
+
+fn picture(evaluation: &Evaluation, trial: &Trial) -> Option<Block> {
+    let png = strips::strip_of(evaluation, trial)?;
+    let title = format!(
+        "seed {}: {}, {:.2} s",
+        trial.seed, trial.reason, trial.seconds
+    );
+    Some(Block::Picture { title, png })
+}
+
+/// A link from the folder `from` to the file at `path`.
+fn link(from: &Path, path: &Path) -> Inline {
+    let name = path.file_name().unwrap_or_default();
+    Inline::Link {
+        text: name.to_string_lossy().into_owned(),
+        target: relative(from, path).display().to_string(),
+    }
+}
+
 fn trials(evaluation: &Evaluation, lost: &[&Trial], from: &Path) -> Block {
     let head = ["seed", "reason", "after", "log"]
         .map(str::to_owned)
         .to_vec();
     let rows = lost.iter().map(|trial| {
         let invalid = if trial.invalid { "invalid: " } else { "" };
-        let log = strips::log_of(evaluation, trial).map_or_else(
-            || plain("not kept"),
-            |path| {
-                let text = path
-                    .file_name()
-                    .unwrap_or_default()
-                    .to_string_lossy()
-                    .into_owned();
-                let target = relative(from, &path).display().to_string();
-                vec![Inline::Link { text, target }]
-            },
-        );
+        let log = strips::log_of(evaluation, trial);
+        let log = log.map_or_else(|| plain("not kept"), |path| vec![link(from, &path)]);
         vec![
             TableCell::number(trial.seed.to_string()),
             TableCell::text(format!("{invalid}{}", trial.reason)),

@@ -8,6 +8,7 @@ use super::plots::{Plot, Series};
 use crate::study::axis::Axis;
 use crate::study::estimate::in_words;
 use crate::study::job::Kind;
+use crate::study::plan::Entry;
 
 /// The losses of every network's trainings, a colour a task. A training whose losses are not kept is only counted.
 pub(super) fn training_curves(results: &Results) -> Vec<Block> {
@@ -43,6 +44,27 @@ fn each_once<'a>(names: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
 
 /// The losses of one network's trainings, if any are kept.
 fn network_curves(results: &Results, network: &str, tasks: &[&String]) -> Option<Block> {
+    let (series, trainings) = loss_series(results, network, tasks);
+    let count = series.len();
+    let plot = Plot {
+        title: results.study.title_of(Axis::Network, network),
+        x: "step".to_owned(),
+        y: "loss".to_owned(),
+        logarithmic: true,
+        series,
+    };
+    let title = format!(
+        "{}: losses, a colour a task; those of {count} of {trainings} trainings are kept",
+        plot.title
+    );
+    Some(Block::Plot {
+        title,
+        svg: plot.svg()?,
+    })
+}
+
+/// The losses that are kept of one network's trainings, and how many trainings it has.
+fn loss_series(results: &Results, network: &str, tasks: &[&String]) -> (Vec<Series>, usize) {
     let study = &results.study;
     let (mut seen, mut series) = (BTreeSet::new(), Vec::new());
     for entry in &study.entries {
@@ -56,66 +78,54 @@ fn network_curves(results: &Results, network: &str, tasks: &[&String]) -> Option
         let Some(curve) = kept.filter(|curve| !curve.is_empty()) else {
             continue;
         };
+        let colour = tasks.iter().position(|task| **task == entry.at.task);
         series.push(Series {
             name: study.title_of(Axis::Task, &entry.at.task),
-            colour: tasks
-                .iter()
-                .position(|task| **task == entry.at.task)
-                .unwrap_or(0),
+            colour: colour.unwrap_or(0),
             points: curve.iter().map(|row| (row.step, row.loss)).collect(),
             intervals: Vec::new(),
         });
     }
-    let count = series.len();
-    let plot = Plot {
-        title: study.title_of(Axis::Network, network),
-        x: "step".to_owned(),
-        y: "loss".to_owned(),
-        logarithmic: true,
-        series,
-    };
-    let title = format!(
-        "{}: losses, a colour a task; those of {count} of {} trainings are kept",
-        plot.title,
-        seen.len()
-    );
-    Some(Block::Plot {
-        title,
-        svg: plot.svg()?,
-    })
+    (series, seen.len())
 }
+
+/// What the table of time and memory has in its columns.
+const COSTS_HEAD: [&str; 8] = [
+    "",
+    "of",
+    "cells",
+    "time each, median",
+    "time in all",
+    "memory",
+    "memory on the GPU",
+    "GPU",
+];
 
 /// Time and memory, by what was made.
 pub(super) fn costs(results: &Results) -> Vec<Block> {
-    let study = &results.study;
+    let groups = groups(results);
+    if groups.is_empty() {
+        return Vec::new();
+    }
+    let rows = groups.iter();
+    let rows = rows.map(|(kind, name, made)| cost(*kind, name, made));
+    let note = "Time is that of a cell's own process, beside whatever else ran on the machine; memory is the greatest of any cell.";
+    vec![
+        Block::Heading(2, "Time and memory".to_owned()),
+        paragraph(note),
+        Block::Table {
+            head: COSTS_HEAD.map(str::to_owned).to_vec(),
+            rows: rows.collect(),
+        },
+    ]
+}
+
+/// What was made, each once, by its kind and by its task or its network.
+fn groups(results: &Results) -> Vec<(Kind, String, Vec<&Made>)> {
     let mut groups: Vec<(Kind, String, Vec<&Made>)> = Vec::new();
     let mut seen = BTreeSet::new();
-    for entry in &study.entries {
-        let network = study.title_of(Axis::Network, &entry.at.network);
-        let task = study.title_of(Axis::Task, &entry.at.task);
-        let recording = entry
-            .recording
-            .as_ref()
-            .and_then(|address| results.recordings.get(address));
-        let training = entry
-            .training
-            .as_ref()
-            .and_then(|address| results.trainings.get(address));
-        let evaluation = results.evaluations.get(&entry.evaluation);
-        let found = [
-            (Kind::Recording, task, recording),
-            (
-                Kind::Training,
-                network.clone(),
-                training.map(|training| &training.made),
-            ),
-            (
-                Kind::Evaluation,
-                network,
-                evaluation.map(|evaluation| &evaluation.made),
-            ),
-        ];
-        for (kind, name, made) in found {
+    for entry in &results.study.entries {
+        for (kind, name, made) in made_for(results, entry) {
             let Some(made) = made.filter(|made| seen.insert(made.manifest.address.clone())) else {
                 continue;
             };
@@ -126,32 +136,30 @@ pub(super) fn costs(results: &Results) -> Vec<Block> {
         }
     }
     groups.sort_by_key(|(kind, _, _)| *kind);
-    if groups.is_empty() {
-        return Vec::new();
-    }
-    let head = [
-        "",
-        "of",
-        "cells",
-        "time each, median",
-        "time in all",
-        "memory",
-        "memory on the GPU",
-        "GPU",
-    ];
-    let rows = groups
-        .iter()
-        .map(|(kind, name, made)| cost(*kind, name, made))
-        .collect();
-    vec![
-        Block::Heading(2, "Time and memory".to_owned()),
-        paragraph(
-            "Time is that of a cell's own process, beside whatever else ran on the machine; memory is the greatest of any cell.",
+    groups
+}
+
+/// What was made for `entry`: its recording by the task, its training and its evaluation by the network.
+fn made_for<'a>(results: &'a Results, entry: &Entry) -> [(Kind, String, Option<&'a Made>); 3] {
+    let network = results.study.title_of(Axis::Network, &entry.at.network);
+    let task = results.study.title_of(Axis::Task, &entry.at.task);
+    let recording = entry.recording.as_ref();
+    let recording = recording.and_then(|address| results.recordings.get(address));
+    let training = entry.training.as_ref();
+    let training = training.and_then(|address| results.trainings.get(address));
+    let evaluation = results.evaluations.get(&entry.evaluation);
+    [
+        (Kind::Recording, task, recording),
+        (
+            Kind::Training,
+            network.clone(),
+            training.map(|training| &training.made),
         ),
-        Block::Table {
-            head: head.map(str::to_owned).to_vec(),
-            rows,
-        },
+        (
+            Kind::Evaluation,
+            network,
+            evaluation.map(|evaluation| &evaluation.made),
+        ),
     ]
 }
 
@@ -185,70 +193,75 @@ fn memory(bytes: Option<u64>) -> String {
 /// Programs, machines, addresses, and the file that the study came from.
 pub(super) fn provenance(results: &Results) -> Vec<Block> {
     let study = &results.study;
-    let all = || {
-        let trainings = results.trainings.values().map(|training| &training.made);
-        let evaluations = results
-            .evaluations
-            .values()
-            .map(|evaluation| &evaluation.made);
-        results
-            .recordings
-            .values()
-            .chain(trainings)
-            .chain(evaluations)
-    };
-    let distinct = |of: fn(&Made) -> String| {
-        let mut found: Vec<String> = all().map(of).collect();
-        found.sort_unstable();
-        found.dedup();
-        found.join(", ")
-    };
-    let row = |name: &str, value: String| {
-        vec![
-            TableCell::text(name),
-            TableCell {
-                lines: vec![vec![Inline::Code(value)]],
-                ..TableCell::default()
-            },
-        ]
-    };
-    let mut cells = Vec::new();
-    for (address, cell) in &study.cells {
-        let made = all().find(|made| made.manifest.address == *address);
-        cells.push(vec![
-            TableCell::text(cell.kind.as_str()),
-            TableCell {
-                lines: vec![vec![Inline::Code(address.to_string())]],
-                ..TableCell::default()
-            },
-            TableCell::text(cell.label.clone()),
-            TableCell::text(made.map_or("not there", |_| "done")),
-        ]);
-    }
     vec![
         Block::Heading(2, "Versions and hashes".to_owned()),
-        Block::Table {
-            head: ["what", "value"].map(str::to_owned).to_vec(),
-            rows: vec![
-                row("grid", study.grid.to_string()),
-                row("program in addresses", study.code.clone()),
-                row(
-                    "executables (SHA-256)",
-                    distinct(|made| made.manifest.executable_sha256.clone()),
-                ),
-                row("machines", distinct(|made| made.manifest.host.clone())),
-            ],
-        },
+        versions(results),
         Block::Details(
             format!("All {} cells with their addresses", study.cells.len()),
-            vec![Block::Table {
-                head: ["", "address", "what", "state"].map(str::to_owned).to_vec(),
-                rows: cells,
-            }],
+            vec![all_cells(results)],
         ),
         Block::Details(
             "The study's file".to_owned(),
             vec![Block::Verbatim(study.text.clone())],
         ),
     ]
+}
+
+fn all_made(results: &Results) -> impl Iterator<Item = &Made> {
+    let trainings = results.trainings.values().map(|training| &training.made);
+    let evaluations = results
+        .evaluations
+        .values()
+        .map(|evaluation| &evaluation.made);
+    results
+        .recordings
+        .values()
+        .chain(trainings)
+        .chain(evaluations)
+}
+
+fn code(text: String) -> TableCell {
+    TableCell {
+        lines: vec![vec![Inline::Code(text)]],
+        ..TableCell::default()
+    }
+}
+
+fn versions(results: &Results) -> Block {
+    let distinct = |of: fn(&Made) -> String| {
+        let mut found: Vec<String> = all_made(results).map(of).collect();
+        found.sort_unstable();
+        found.dedup();
+        found.join(", ")
+    };
+    let row = |name: &str, value: String| vec![TableCell::text(name), code(value)];
+    Block::Table {
+        head: ["what", "value"].map(str::to_owned).to_vec(),
+        rows: vec![
+            row("grid", results.study.grid.to_string()),
+            row("program in addresses", results.study.code.clone()),
+            row(
+                "executables (SHA-256)",
+                distinct(|made| made.manifest.executable_sha256.clone()),
+            ),
+            row("machines", distinct(|made| made.manifest.host.clone())),
+        ],
+    }
+}
+
+fn all_cells(results: &Results) -> Block {
+    let mut rows = Vec::new();
+    for (address, cell) in &results.study.cells {
+        let made = all_made(results).find(|made| made.manifest.address == *address);
+        rows.push(vec![
+            TableCell::text(cell.kind.as_str()),
+            code(address.to_string()),
+            TableCell::text(cell.label.clone()),
+            TableCell::text(made.map_or("not there", |_| "done")),
+        ]);
+    }
+    Block::Table {
+        head: ["", "address", "what", "state"].map(str::to_owned).to_vec(),
+        rows,
+    }
 }

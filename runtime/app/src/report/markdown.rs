@@ -41,32 +41,26 @@ impl Writer {
             }
             Block::Paragraph(line) => self.text.push_str(&format!("{}\n\n", inlines(line))),
             Block::Table { head, rows } => self.table(head, rows),
-            // Alone, a plot has no page whose colours it could take.
-            Block::Plot { title, svg } => {
-                let svg = svg.replacen(
-                    "<svg ",
-                    "<svg style=\"color:#1c1e21;background:#ffffff\" ",
-                    1,
-                );
-                self.attach(title, "svg", svg.into_bytes());
-            }
+            Block::Plot { title, svg } => self.attach(title, "svg", coloured(svg).into_bytes()),
             Block::Picture { title, png } => self.attach(title, "png", png.clone()),
-            Block::Details(summary, blocks) => {
-                self.text.push_str(&format!(
-                    "<details><summary>{}</summary>\n\n",
-                    escape(summary)
-                ));
-                for block in blocks {
-                    self.add(block);
-                }
-                self.text.push_str("</details>\n\n");
-            }
+            Block::Details(summary, blocks) => self.details(summary, blocks),
             Block::Verbatim(text) => {
                 let fence = "`".repeat(longest_run(text).max(2) + 1);
                 self.text
                     .push_str(&format!("{fence}text\n{}\n{fence}\n\n", text.trim_end()));
             }
         }
+    }
+
+    fn details(&mut self, summary: &str, blocks: &[Block]) {
+        self.text.push_str(&format!(
+            "<details><summary>{}</summary>\n\n",
+            escape(summary)
+        ));
+        for block in blocks {
+            self.add(block);
+        }
+        self.text.push_str("</details>\n\n");
     }
 
     fn table(&mut self, head: &[String], rows: &[Vec<TableCell>]) {
@@ -112,6 +106,15 @@ fn inlines(line: &[Inline]) -> String {
 }
 
 /// The longest row of back quotes.
+/// `svg` with colours of its own: alone, a plot has no page whose colours it could take.
+fn coloured(svg: &str) -> String {
+    svg.replacen(
+        "<svg ",
+        "<svg style=\"color:#1c1e21;background:#ffffff\" ",
+        1,
+    )
+}
+
 fn longest_run(text: &str) -> usize {
     text.split(|c| c != '`').map(str::len).max().unwrap_or(0)
 }

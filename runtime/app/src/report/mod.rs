@@ -23,7 +23,9 @@ use serde::Serialize;
 use crate::session::outputs::is_standard_output;
 use crate::study::StudyError;
 use crate::study::files::{write_json, write_whole};
+use crate::study::job::Kind;
 use compare::Comparison;
+use document::Block;
 use load::Results;
 use statistics::Score;
 use tables::Table;
@@ -61,43 +63,19 @@ pub struct Written {
 /// # Errors
 /// [`StudyError`] if a folder is no study's or of another grid, or `out` can't be written or is of another kind.
 pub fn write(folders: &[PathBuf], out: &Path, json: Option<&Path>) -> Result<Written, StudyError> {
-    let kind = out
-        .extension()
-        .and_then(|kind| kind.to_str())
-        .unwrap_or_default();
-    if !["html", "md"].contains(&kind) {
-        let reason = "a report is FILE.html or FILE.md";
-        return Err(StudyError::BadArgument(format!(
-            "--out {}: {reason}",
-            out.display()
-        )));
-    }
+    let kind = kind_of(out)?;
     let results = Results::read(folders)?;
-    let blocks = page::blocks(&results, &folder_of(out));
     let mut files = vec![out.to_owned()];
-    if kind == "html" {
-        write_whole(out, html::page(&results.study.title, &blocks).as_bytes())?;
-    } else {
-        let stem = out.file_stem().unwrap_or_default().to_string_lossy();
-        let folder = format!("{stem}_files");
-        let (text, attachments) = markdown::text(&blocks, &folder);
-        for attachment in attachments {
-            let path = out.with_file_name(&folder).join(attachment.name);
-            write_whole(&path, &attachment.bytes)?;
-            files.push(path);
+    let blocks = page::blocks(&results, &folder_of(out));
+    match kind {
+        PageKind::Html => {
+            write_whole(out, html::page(&results.study.title, &blocks).as_bytes())?;
         }
-        write_whole(out, text.as_bytes())?;
+        PageKind::Markdown => files.extend(write_markdown(&blocks, out)?),
     }
     let figures = figures(&results);
     if let Some(path) = json {
-        if is_standard_output(path) {
-            let text = serde_json::to_string_pretty(&figures);
-            let text = text.map_err(|error| StudyError::io(path, error))?;
-            let written = writeln!(std::io::stdout(), "{text}");
-            written.map_err(|error| StudyError::io(path, error))?;
-        } else {
-            write_json(path, &figures)?;
-        }
+        write_figures(&figures, path)?;
         files.push(path.to_owned());
     }
     Ok(Written {
@@ -105,6 +83,49 @@ pub fn write(folders: &[PathBuf], out: &Path, json: Option<&Path>) -> Result<Wri
         evaluations: figures.evaluations,
         damaged: results.damaged,
     })
+}
+
+#[derive(Clone, Copy)]
+enum PageKind {
+    Html,
+    Markdown,
+}
+
+fn kind_of(out: &Path) -> Result<PageKind, StudyError> {
+    match out.extension().and_then(|kind| kind.to_str()) {
+        Some("html") => Ok(PageKind::Html),
+        Some("md") => Ok(PageKind::Markdown),
+        _ => Err(StudyError::BadArgument(format!(
+            "--out {}: a report is FILE.html or FILE.md",
+            out.display()
+        ))),
+    }
+}
+
+/// Writes a page to `out` and what is attached to it beside that; gives the files of the latter.
+fn write_markdown(blocks: &[Block], out: &Path) -> Result<Vec<PathBuf>, StudyError> {
+    let stem = out.file_stem().unwrap_or_default().to_string_lossy();
+    let folder = format!("{stem}_files");
+    let (text, attachments) = markdown::text(blocks, &folder);
+    let mut files = Vec::new();
+    for attachment in attachments {
+        let path = out.with_file_name(&folder).join(attachment.name);
+        write_whole(&path, &attachment.bytes)?;
+        files.push(path);
+    }
+    write_whole(out, text.as_bytes())?;
+    Ok(files)
+}
+
+/// Writes `figures` to the file at `path` or to the standard output.
+fn write_figures(figures: &Figures, path: &Path) -> Result<(), StudyError> {
+    if !is_standard_output(path) {
+        return write_json(path, figures);
+    }
+    let text = serde_json::to_string_pretty(figures);
+    let text = text.map_err(|error| StudyError::io(path, error))?;
+    let written = writeln!(std::io::stdout(), "{text}");
+    written.map_err(|error| StudyError::io(path, error))
 }
 
 /// The folder of `file`, absolute if the system tells where we are, as the folders of results are made too.
@@ -115,10 +136,7 @@ fn folder_of(file: &Path) -> PathBuf {
 
 fn figures(results: &Results) -> Figures {
     let tables = tables::tables(results);
-    let evaluations = results.study.cells.values();
-    let all = evaluations
-        .filter(|cell| cell.kind == crate::study::job::Kind::Evaluation)
-        .count();
+    let all = results.study.count_of(Kind::Evaluation);
     Figures {
         title: results.study.title.clone(),
         grid: results.study.grid.to_string(),

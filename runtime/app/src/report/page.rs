@@ -28,14 +28,7 @@ pub(super) fn blocks(results: &Results, from: &std::path::Path) -> Vec<Block> {
 }
 
 fn summary(results: &Results) -> Vec<Block> {
-    let cells = |kind: Kind| {
-        results
-            .study
-            .cells
-            .values()
-            .filter(|cell| cell.kind == kind)
-            .count()
-    };
+    let cells = |kind: Kind| results.study.count_of(kind);
     let mut blocks = vec![paragraph(format!(
         "{} of {} evaluations, {} of {} trainings and {} of {} recordings are done. Rates stand with Wilson's 95 % interval; \
          trials in which the simulation left its bounds are invalid and counted apart.",
@@ -64,16 +57,7 @@ fn section(results: &Results, table: &Table) -> Vec<Block> {
     blocks.push(paragraph(how(grid)));
     blocks.push(rates(&results.study, table));
     blocks.extend(curves(&results.study, table));
-    let comparisons = compare::comparisons(results, table);
-    if !comparisons.is_empty() {
-        let count = comparisons.len();
-        blocks.push(Block::Details(
-            format!(
-                "Trials of the same seed, two by two (McNemar's exact test, {count} comparisons)"
-            ),
-            vec![compared(&results.study, table, &comparisons)],
-        ));
-    }
+    blocks.extend(comparisons(results, table));
     let losses = causes::losses(results, table);
     if !losses.is_empty() {
         blocks.push(Block::Details(
@@ -82,6 +66,20 @@ fn section(results: &Results, table: &Table) -> Vec<Block> {
         ));
     }
     blocks
+}
+
+/// The columns of `table` two by two, if there are any to compare.
+fn comparisons(results: &Results, table: &Table) -> Option<Block> {
+    let comparisons = compare::comparisons(results, table);
+    let count = comparisons.len();
+    (count > 0).then(|| {
+        Block::Details(
+            format!(
+                "Trials of the same seed, two by two (McNemar's exact test, {count} comparisons)"
+            ),
+            vec![compared(&results.study, table, &comparisons)],
+        )
+    })
 }
 
 fn how(grid: &GridRecord) -> String {

@@ -3,6 +3,7 @@
 use super::compare::Comparison;
 use super::document::{Block, Inline, TableCell, Tone, plain};
 use super::plots::{Plot, Series};
+use super::statistics::Score;
 use super::tables::{Place, Row, Table};
 use crate::study::axis::Axis;
 use crate::study::plan::StudyRecord;
@@ -24,22 +25,27 @@ pub(super) fn rates(study: &StudyRecord, table: &Table) -> Block {
     }
     // Over a curve's points a mean says nothing.
     if table.rows.len() > 1 && table.grid.curve.is_none() {
-        let mut row = vec![TableCell::default(); table.row_axes.len()];
-        if let Some(first) = row.first_mut() {
-            *first = TableCell::text("mean");
-        }
-        row.extend(
-            table
-                .means()
-                .into_iter()
-                .map(|(ours, published)| mean(ours, published)),
-        );
-        rows.push(row);
+        rows.push(means(table));
     }
     Block::Table {
         head: head(study, table),
         rows,
     }
+}
+
+/// The last row: the mean of each column.
+fn means(table: &Table) -> Vec<TableCell> {
+    let mut row = vec![TableCell::default(); table.row_axes.len()];
+    if let Some(first) = row.first_mut() {
+        *first = TableCell::text("mean");
+    }
+    row.extend(
+        table
+            .means()
+            .into_iter()
+            .map(|(ours, published)| mean(ours, published)),
+    );
+    row
 }
 
 /// A rate with everything that stands beside it.
@@ -49,39 +55,10 @@ fn rate(place: &Place) -> TableCell {
         ..TableCell::default()
     };
     match &place.score {
-        None => {
-            let missing = place
-                .by_seed
-                .iter()
-                .filter(|(_, score)| score.is_none())
-                .count();
-            cell.lines.push(plain(if missing < place.by_seed.len() {
-                "not all seeds run"
-            } else {
-                "not run"
-            }));
-        }
+        None => cell.lines.push(plain(missing(place))),
         Some(score) => {
-            let (rate, [low, high]) = score.rate();
-            cell.tone = tone(Some(rate), place.published);
-            cell.lines.push(vec![Inline::Strong(format!("{rate:.2}"))]);
-            cell.lines.push(plain(format!(
-                "{} of {}, {low:.2} to {high:.2}",
-                score.successes, score.trials
-            )));
-            if score.invalid > 0 {
-                cell.lines.push(plain(format!("{} invalid", score.invalid)));
-            }
-            if place.by_seed.len() > 1 {
-                let each = place
-                    .by_seed
-                    .iter()
-                    .filter_map(|(_, score)| Some(score.as_ref()?.successes.to_string()));
-                cell.lines.push(plain(format!(
-                    "by training: {}",
-                    each.collect::<Vec<_>>().join(", ")
-                )));
-            }
+            cell.tone = tone(Some(score.rate().0), place.published);
+            cell.lines.extend(score_lines(place, score));
         }
     }
     if let Some(published) = place.published {
@@ -89,6 +66,41 @@ fn rate(place: &Place) -> TableCell {
             .push(vec![Inline::Small(format!("published {published:.2}"))]);
     }
     cell
+}
+
+/// What is said of a place whose trials are not all there.
+fn missing(place: &Place) -> &'static str {
+    if place.by_seed.iter().all(|(_, score)| score.is_none()) {
+        "not run"
+    } else {
+        "not all seeds run"
+    }
+}
+
+/// The rate, its interval, invalid trials if there are any, and each training's successes if there are several.
+fn score_lines(place: &Place, score: &Score) -> Vec<Vec<Inline>> {
+    let (rate, [low, high]) = score.rate();
+    let mut lines = vec![
+        vec![Inline::Strong(format!("{rate:.2}"))],
+        plain(format!(
+            "{} of {}, {low:.2} to {high:.2}",
+            score.successes, score.trials
+        )),
+    ];
+    if score.invalid > 0 {
+        lines.push(plain(format!("{} invalid", score.invalid)));
+    }
+    if place.by_seed.len() > 1 {
+        let each = place
+            .by_seed
+            .iter()
+            .filter_map(|(_, score)| Some(score.as_ref()?.successes.to_string()));
+        lines.push(plain(format!(
+            "by training: {}",
+            each.collect::<Vec<_>>().join(", ")
+        )));
+    }
+    lines
 }
 
 fn mean(ours: Option<f64>, published: Option<f64>) -> TableCell {
@@ -137,22 +149,29 @@ pub(super) fn curves(study: &StudyRecord, table: &Table) -> Vec<Block> {
         let Some((_, plot)) = plots.iter_mut().find(|(found, _)| *found == names) else {
             continue;
         };
-        for (series, place) in plot.series.iter_mut().zip(&row.places) {
-            if let Some(score) = place.as_ref().and_then(|place| place.score) {
-                let (rate, interval) = score.rate();
-                series.points.push((x, rate));
-                series.intervals.push(interval);
-            }
+        add_points(plot, x, row);
+    }
+    let drawn = plots.into_iter();
+    drawn.filter_map(|(_, plot)| draw(plot, axis)).collect()
+}
+
+/// Adds the rates of `row` at `x` to the series of its columns.
+fn add_points(plot: &mut Plot, x: f64, row: &Row) {
+    for (series, place) in plot.series.iter_mut().zip(&row.places) {
+        if let Some(score) = place.as_ref().and_then(|place| place.score) {
+            let (rate, interval) = score.rate();
+            series.points.push((x, rate));
+            series.intervals.push(interval);
         }
     }
-    let drawn = plots.into_iter().filter_map(|(_, mut plot)| {
-        plot.series.retain(|series| !series.points.is_empty());
-        Some(Block::Plot {
-            title: format!("{}: success rate over {}", plot.title, axis.heading()),
-            svg: plot.svg()?,
-        })
-    });
-    drawn.collect()
+}
+
+fn draw(mut plot: Plot, axis: Axis) -> Option<Block> {
+    plot.series.retain(|series| !series.points.is_empty());
+    Some(Block::Plot {
+        title: format!("{}: success rate over {}", plot.title, axis.heading()),
+        svg: plot.svg()?,
+    })
 }
 
 fn empty_plot(study: &StudyRecord, table: &Table, axis: Axis, names: &[String]) -> Plot {
@@ -198,20 +217,22 @@ pub(super) fn compared(study: &StudyRecord, table: &Table, comparisons: &[Compar
         "p by Holm",
     ];
     head.extend(names.map(str::to_owned));
-    let title = |name: &str| TableCell::text(study.title_of(table.grid.columns, name));
-    let rows = comparisons.iter().map(|comparison| {
-        let mut row = labels(study, &table.row_axes, &comparison.row);
-        row.extend([title(&comparison.first), title(&comparison.second)]);
-        let pairs = comparison.pairs;
-        let counts = [pairs.both, pairs.first, pairs.second, pairs.neither];
-        row.extend(counts.map(|count| TableCell::number(count.to_string())));
-        row.extend([comparison.p, comparison.p_holm].map(|p| TableCell::number(probability(p))));
-        row
-    });
+    let rows = comparisons.iter();
     Block::Table {
-        rows: rows.collect(),
+        rows: rows.map(|row| comparison(study, table, row)).collect(),
         head,
     }
+}
+
+fn comparison(study: &StudyRecord, table: &Table, comparison: &Comparison) -> Vec<TableCell> {
+    let title = |name: &str| TableCell::text(study.title_of(table.grid.columns, name));
+    let mut row = labels(study, &table.row_axes, &comparison.row);
+    row.extend([title(&comparison.first), title(&comparison.second)]);
+    let pairs = comparison.pairs;
+    let counts = [pairs.both, pairs.first, pairs.second, pairs.neither];
+    row.extend(counts.map(|count| TableCell::number(count.to_string())));
+    row.extend([comparison.p, comparison.p_holm].map(|p| TableCell::number(probability(p))));
+    row
 }
 
 fn probability(p: f64) -> String {

@@ -58,24 +58,16 @@ pub fn tables(results: &Results) -> Vec<Table> {
 fn table(results: &Results, grid: &GridRecord) -> Table {
     let entries = entries_of(&results.study, grid);
     let row_axes = row_axes(&entries, grid.columns);
-    let labels_of =
-        |at: &Coordinates| -> Vec<String> { row_axes.iter().map(|axis| at.on(*axis)).collect() };
     let mut columns: Vec<String> = Vec::new();
-    let mut rows: Vec<Row> = Vec::new();
     for entry in &entries {
         push_new(&mut columns, entry.at.on(grid.columns));
-        let labels = labels_of(&entry.at);
-        if !rows.iter().any(|row| row.labels == labels) {
-            rows.push(Row {
-                labels,
-                places: Vec::new(),
-            });
-        }
     }
+    let mut rows = empty_rows(&entries, &row_axes);
     for row in &mut rows {
         for column in &columns {
             let here = entries.iter().filter(|entry| {
-                labels_of(&entry.at) == row.labels && entry.at.on(grid.columns) == *column
+                labels_on(&row_axes, &entry.at) == row.labels
+                    && entry.at.on(grid.columns) == *column
             });
             row.places.push(place(results, grid, here.copied()));
         }
@@ -86,6 +78,25 @@ fn table(results: &Results, grid: &GridRecord) -> Table {
         columns,
         rows,
     }
+}
+
+fn labels_on(axes: &[Axis], at: &Coordinates) -> Vec<String> {
+    axes.iter().map(|axis| at.on(*axis)).collect()
+}
+
+/// The rows on which `entries` lie, without their places.
+fn empty_rows(entries: &[&Entry], axes: &[Axis]) -> Vec<Row> {
+    let mut rows: Vec<Row> = Vec::new();
+    for entry in entries {
+        let labels = labels_on(axes, &entry.at);
+        if !rows.iter().any(|row| row.labels == labels) {
+            rows.push(Row {
+                labels,
+                places: Vec::new(),
+            });
+        }
+    }
+    rows
 }
 
 /// The entries of `grid`.
@@ -128,6 +139,11 @@ fn push_new(list: &mut Vec<String>, value: String) {
     }
 }
 
+fn command_hashes<'a>(evaluations: impl Iterator<Item = &'a Evaluation>) -> Vec<String> {
+    let trials = evaluations.flat_map(|evaluation| &evaluation.trials);
+    trials.map(|trial| trial.command_hash.clone()).collect()
+}
+
 fn place<'a>(
     results: &Results,
     grid: &GridRecord,
@@ -144,13 +160,9 @@ fn place<'a>(
         .zip(found.iter().map(|found| found.map(Evaluation::score)))
         .collect();
     let scores: Option<Vec<Score>> = by_seed.iter().map(|(_, score)| *score).collect();
-    let trials = found
-        .iter()
-        .flatten()
-        .flat_map(|evaluation| &evaluation.trials);
     Some(Place {
         published: published(grid, &at),
-        command_hashes: trials.map(|trial| trial.command_hash.clone()).collect(),
+        command_hashes: command_hashes(found.iter().flatten().copied()),
         score: scores.map(|scores| scores.into_iter().fold(Score::default(), Score::plus)),
         by_seed,
         at,

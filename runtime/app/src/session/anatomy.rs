@@ -42,6 +42,14 @@ struct Stopwatch {
 }
 
 impl Stopwatch {
+    fn new() -> Self {
+        Self {
+            clock: MonotonicClock::new(),
+            now: None,
+            done: Vec::new(),
+        }
+    }
+
     /// Ends the stage that goes on, and begins `next`.
     fn pass(&mut self, next: Option<Stage>) {
         let now = self.clock.now();
@@ -72,8 +80,17 @@ fn check_outputs(folder: &Path, names: &[&str], source: Option<&Path>) -> Result
     outputs::check(&written, &[("the labels", source)])
 }
 
-/// Makes a patient of the labels in `source` by the table of labels `table`, and writes it into `out`; `watch` is told each stage as it
-/// begins.
+/// The files of a patient.
+const PATIENT_FILES: [&str; 5] = [
+    "patient.glb",
+    "patient.usda",
+    "patient.usdz",
+    "patient.json",
+    "tetrahedra.usda",
+];
+
+/// Makes a patient of the labels in `source` by the table of labels `table`, and writes it into `out`; calls `watch` with each stage as
+/// it begins.
 ///
 /// # Errors
 /// [`SessionError::Anatomy`] if the volume is refused, [`SessionError::Config`] if the table is, [`SessionError::BadArgument`] if `out`
@@ -86,22 +103,8 @@ pub fn build(
     watch: &mut dyn FnMut(Stage),
 ) -> Result<Built, SessionError> {
     let groups = Groups::load(table)?;
-    check_outputs(
-        out,
-        &[
-            "patient.glb",
-            "patient.usda",
-            "patient.usdz",
-            "patient.json",
-            "tetrahedra.usda",
-        ],
-        Some(source),
-    )?;
-    let mut stopwatch = Stopwatch {
-        clock: MonotonicClock::new(),
-        now: None,
-        done: Vec::new(),
-    };
+    check_outputs(out, &PATIENT_FILES, Some(source))?;
+    let mut stopwatch = Stopwatch::new();
     let patient = build::build(source, &groups, options, &mut |stage| {
         stopwatch.pass(Some(stage));
         watch(stage);
@@ -116,7 +119,7 @@ pub fn build(
     })
 }
 
-/// Writes the CT and the labels of the procedural patient of `seed` into `out`; `done` is told how many of how many slices there are.
+/// Writes the CT and the labels of the procedural patient of `seed` into `out`; calls `done` with the slices that are written and all.
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] or [`SessionError::Anatomy`] if `out` can't be written.

@@ -52,7 +52,7 @@ pub fn plan(task: &str, policy: Option<&str>, seed: u64) -> Result<Plan, Session
 }
 
 /// Runs `plan` in lockstep and in real time, writes both logs, the summaries, and pictures of the lockstep run into the folder `out`.
-/// `on_progress` hears what comes next.
+/// Calls `on_progress` with what comes next.
 ///
 /// # Errors
 /// As of the runs and of reading their logs; [`SessionError::Log`] if one of them could not be written whole.

@@ -60,6 +60,8 @@ mod views;
 mod world_report;
 
 #[cfg(test)]
+pub(crate) mod scratch;
+#[cfg(test)]
 mod tests;
 
 pub use error::SessionError;

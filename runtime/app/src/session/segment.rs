@@ -183,7 +183,7 @@ fn same_place(one: &Grid, other: &Grid) -> bool {
         && steps.fold((one.origin - other.origin).norm(), f64::max) < SAME_PLACE_MM
 }
 
-/// Writes the labels of a CT; `done` is told how many of how many windows there are.
+/// Writes the labels of a CT; calls `done` with the windows that are classified and all.
 ///
 /// # Errors
 /// [`SessionError`]: the CT, the model, its settings or the labels compared with can't be used, or the result can't be written.
@@ -256,6 +256,15 @@ fn compared(options: &Segmentation, grid: &Grid) -> Result<Option<Vec<u8>>, Sess
     Err(SessionError::BadArgument(text))
 }
 
+/// How many voxels each group has.
+fn count(found: &[u8]) -> BTreeMap<u8, u64> {
+    let mut counts = BTreeMap::new();
+    for group in found {
+        *counts.entry(*group).or_insert(0) += 1;
+    }
+    counts
+}
+
 #[expect(clippy::cast_precision_loss, reason = "voxels stay far below 2^53")]
 fn report(
     groups: &Groups,
@@ -264,14 +273,10 @@ fn report(
     found: &[u8],
     wanted: Option<&[u8]>,
 ) -> Vec<SegmentedGroup> {
-    let mut counts = BTreeMap::new();
-    for group in found {
-        *counts.entry(*group).or_insert(0_u64) += 1;
-    }
+    let counts = count(found);
     let scores = wanted.map(|wanted| dice(found, wanted, groups.groups.len()));
-    let named = (1..)
-        .zip(&groups.groups)
-        .filter(|(number, _)| classes.groups.contains(number));
+    let named = (1..).zip(&groups.groups);
+    let named = named.filter(|(number, _)| classes.groups.contains(number));
     named
         .map(|(number, group)| {
             let voxels = counts.get(&number).copied().unwrap_or(0);

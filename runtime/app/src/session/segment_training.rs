@@ -122,7 +122,7 @@ fn plan(options: &SegmentTraining, groups: &Groups) -> (Size, SegmenterSettings,
 /// Trains a segmenter, writes it, and judges what was written by patients that it has not seen; `watch` says whether to go on.
 ///
 /// # Errors
-/// [`SessionError`]: options that are impossible, a loss that is no number, a file that can't be written.
+/// [`SessionError`]: options that are impossible, a loss that is not finite, a file that can't be written.
 pub fn train(
     options: &SegmentTraining,
     watch: &mut dyn FnMut(TrainingNews) -> bool,
@@ -191,6 +191,17 @@ fn bytes(file: &Path) -> Result<u64, SessionError> {
         .map_err(|error| SessionError::output(file, error))
 }
 
+fn classify(segmenter: &Segmenter, scan: &LabelledScan) -> Result<Vec<u8>, SessionError> {
+    let values = scan.hounsfield.iter().map(|value| f32::from(*value));
+    let values: Vec<f32> = values.collect();
+    let image = Image {
+        dims: scan.dims,
+        spacing_mm: segmenter.settings().spacing_mm,
+        values: &values,
+    };
+    Ok(segmenter.classify(&image, u64::MAX, &mut |_, _| ())?)
+}
+
 /// Dice of the segmenter that was written, by group, on patients that it has not seen, at its own spacing.
 fn judge(
     options: &SegmentTraining,
@@ -203,34 +214,25 @@ fn judge(
     let mut scores = Vec::new();
     for seed in 0..options.validate {
         let scan = scan(seed, size, vista);
-        let values: Vec<f32> = scan
-            .hounsfield
-            .iter()
-            .map(|value| f32::from(*value))
-            .collect();
-        let image = Image {
-            dims: scan.dims,
-            spacing_mm: segmenter.settings().spacing_mm,
-            values: &values,
-        };
-        let found = segmenter.classify(&image, u64::MAX, &mut |_, _| ())?;
-        scores.push(dice(
-            &classes.groups_of(&found),
-            &scan.classes,
-            vista.groups.len(),
-        ));
+        let found = classes.groups_of(&classify(&segmenter, &scan)?);
+        scores.push(dice(&found, &scan.classes, vista.groups.len()));
         if !watch(TrainingNews::Judged(seed + 1)) {
             break;
         }
     }
-    let score = |(index, group): (usize, &trocar_anatomy::groups::Group)| {
-        let dice: Vec<Option<f64>> = scores.iter().map(|patient| patient[index]).collect();
-        let known: Vec<f64> = dice.iter().flatten().copied().collect();
-        GroupScore {
-            name: group.name.clone(),
-            mean: mean(&known),
-            dice,
-        }
-    };
-    Ok(vista.groups.iter().enumerate().map(score).collect())
+    let groups = vista.groups.iter().enumerate();
+    let groups = groups.map(|(index, group)| {
+        let patients = scores.iter().map(|patient| patient[index]);
+        group_score(&group.name, patients.collect())
+    });
+    Ok(groups.collect())
+}
+
+fn group_score(name: &str, dice: Vec<Option<f64>>) -> GroupScore {
+    let known: Vec<f64> = dice.iter().flatten().copied().collect();
+    GroupScore {
+        name: name.to_owned(),
+        mean: mean(&known),
+        dice,
+    }
 }

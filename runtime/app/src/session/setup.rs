@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use hal::Pose;
 use hal::config::Source;
 use trocar_nets::compute::Compute;
 use trocar_tasks::expert::Expert;
@@ -251,6 +252,33 @@ fn other_scene(
     Ok((scene, config))
 }
 
+/// The base of arm `index` lies in the `scene`, which came from `source`, where the safety `limits` have it.
+fn check_base(
+    index: usize,
+    limits: Pose,
+    scene: Pose,
+    source: &Source,
+) -> Result<(), SessionError> {
+    let off = scene.inverse() * limits;
+    let differs = |key: &str, [found, expected]: [[f64; 3]; 2]| {
+        let allowed = format!("what safety.toml says, {expected:.6?}");
+        source.out_of_range(
+            &format!("arm.{index}.{key}"),
+            &format!("{found:.6?}"),
+            &allowed,
+        )
+    };
+    if off.translation.vector.norm() >= 1e-6 {
+        let places = [scene, limits].map(|pose| pose.translation.vector.into());
+        return Err(differs("rcm_in_scene_m", places).into());
+    }
+    if off.rotation.angle() >= 1e-6 {
+        let turns = [scene, limits].map(|pose| pose.rotation.euler_angles().into());
+        return Err(differs("rcm_in_scene_rpy_rad", turns).into());
+    }
+    Ok(())
+}
+
 /// The scene, which came from `source`, and the safety limits must speak of the same arms at the same places.
 fn check_bases(
     task: &TaskConfig,
@@ -264,24 +292,7 @@ fn check_bases(
         return Err(source.out_of_range("arm", &found, &allowed).into());
     }
     for (index, (arm, start)) in control.arms.iter().zip(&task.arms).enumerate() {
-        let (limits, scene) = (arm.scene_from_rcm, start.scene_from_rcm);
-        let off = scene.inverse() * limits;
-        let differs = |key: &str, [found, expected]: [[f64; 3]; 2]| {
-            let allowed = format!("what safety.toml says, {expected:.6?}");
-            source.out_of_range(
-                &format!("arm.{index}.{key}"),
-                &format!("{found:.6?}"),
-                &allowed,
-            )
-        };
-        if off.translation.vector.norm() >= 1e-6 {
-            let places = [scene, limits].map(|pose| pose.translation.vector.into());
-            return Err(differs("rcm_in_scene_m", places).into());
-        }
-        if off.rotation.angle() >= 1e-6 {
-            let turns = [scene, limits].map(|pose| pose.rotation.euler_angles().into());
-            return Err(differs("rcm_in_scene_rpy_rad", turns).into());
-        }
+        check_base(index, arm.scene_from_rcm, start.scene_from_rcm, source)?;
     }
     Ok(())
 }

@@ -201,7 +201,7 @@ mod tests {
     use trocar_control::TickInput;
     use trocar_log::TickTiming;
 
-    /// A tick of two arms that nobody has enabled.
+    /// A tick of two arms that are not enabled.
     fn two_arms() -> TickRecord {
         let setup = Setup::load("needle-handover", None, &PolicyChoice::Noop).unwrap();
         let mut controller = setup.controller().unwrap();

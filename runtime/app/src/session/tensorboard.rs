@@ -174,6 +174,7 @@ const fn crc32c(data: &[u8]) -> u32 {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use super::super::scratch::Scratch;
     use super::*;
     use std::collections::BTreeMap;
     use std::fs;
@@ -212,14 +213,6 @@ pub(super) mod tests {
         events
     }
 
-    fn scratch(name: &str) -> PathBuf {
-        let folder =
-            std::env::temp_dir().join(format!("trocar-events-{}-{name}", std::process::id()));
-        let _absent = fs::remove_dir_all(&folder);
-        fs::create_dir_all(&folder).unwrap();
-        folder
-    }
-
     #[test]
     fn checksums_are_those_of_rfc_3720() {
         assert_eq!(crc32c(b"123456789"), 0xe306_9283);
@@ -246,7 +239,7 @@ pub(super) mod tests {
     /// What is written is read and a second file takes another name.
     #[test]
     fn written_events_are_read_back() {
-        let folder = scratch("round-trip");
+        let folder = Scratch::folder("events");
         let mut first = EventFile::create(&folder, 0, 1.7e9).unwrap();
         first.scalars(5, 1.7e9, &[("a", 0.5), ("b", -2.0)]).unwrap();
         let mut second = EventFile::create(&folder, 5, 1.7e9).unwrap();
@@ -255,6 +248,5 @@ pub(super) mod tests {
         let read = scalars(&folder);
         assert_eq!(read["a"], [(5, 0.5), (6, 0.25)]);
         assert_eq!(read["b"], [(5, -2.0)]);
-        fs::remove_dir_all(&folder).unwrap();
     }
 }

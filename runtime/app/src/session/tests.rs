@@ -13,6 +13,7 @@ use trocar_tasks::simulation::{Rendering, Simulation};
 use super::episode::{Episode, EpisodeEnd, Timing, Watcher};
 use super::latency::Latency;
 use super::record::{RecordOptions, record};
+use super::scratch::Scratch;
 use super::training::{
     CameraChoice, NetworkChoice, TrainingOptions, query_every, train, train_options,
 };
@@ -31,21 +32,6 @@ mod operator;
 mod resumed;
 mod state;
 mod tissue;
-
-/// A log's path, or a folder's, that goes with the test.
-struct Scratch(PathBuf);
-
-impl Scratch {
-    fn new(name: &str) -> Self {
-        Self(std::env::temp_dir().join(format!("trocar-{}-{name}.mcap", std::process::id())))
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        let _gone = fs::remove_file(&self.0);
-    }
-}
 
 /// Writes the log of an episode without looking at it.
 struct Logger(Recorder);
@@ -213,7 +199,6 @@ fn network_of_another_arm_count_is_refused() {
             "{message}"
         );
     }
-    fs::remove_dir_all(&folder.0).unwrap();
 }
 
 /// The handover seen by a smaller camera, which is drawn sooner.
@@ -342,5 +327,4 @@ fn network_of_two_arms_commands_both() {
     );
     let verified = verify(&log).unwrap();
     assert!(verified.ok, "{:?}", verified.violations.first());
-    fs::remove_dir_all(&folder.0).unwrap();
 }

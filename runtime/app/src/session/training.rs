@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 use trocar_data::dataset::Dataset;
+use trocar_data::perception::CloudRecipe;
 use trocar_nets::act::{ActConfig, ActPreset, BackboneNorm};
 use trocar_nets::checkpoint::Variants;
 use trocar_train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrecision, Trainer};
@@ -79,6 +80,24 @@ pub fn train(
     train_from(options, start, on_news)
 }
 
+fn check_act(options: &TrainingOptions) -> Result<(), SessionError> {
+    let preset = parse_preset(&options.preset)?;
+    sound(train_options(options, preset))?;
+    if options.clouds.is_some() {
+        let defect = "--clouds: act sees images; of act-pc and dp3";
+        return Err(SessionError::BadArgument(defect.to_owned()));
+    }
+    Ok(())
+}
+
+/// `options`, if a training can have them.
+pub(super) fn sound(options: TrainOptions) -> Result<TrainOptions, SessionError> {
+    match options.defect() {
+        Some(defect) => Err(TrainError::Options(defect).into()),
+        None => Ok(options),
+    }
+}
+
 /// Refuses options that can't be, of the command line and of a state that may be damaged alike.
 pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {
     training_backbone::check(options)?;
@@ -87,16 +106,7 @@ pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {
         return Err(SessionError::BadArgument(defect.to_owned()));
     }
     match options.network {
-        NetworkChoice::Act => {
-            let preset = parse_preset(&options.preset)?;
-            if let Some(defect) = train_options(options, preset).defect() {
-                return Err(TrainError::Options(defect).into());
-            }
-            if options.clouds.is_some() {
-                let defect = "--clouds: act sees images; of act-pc and dp3";
-                return Err(SessionError::BadArgument(defect.to_owned()));
-            }
-        }
+        NetworkChoice::Act => check_act(options)?,
         NetworkChoice::ActPc => {
             training_clouds::act_pc_options(options)?;
             cloud_recipe(options.clouds.as_deref(), 1)?;
@@ -138,6 +148,27 @@ pub(super) struct Start {
     pub(super) evaluations: Vec<Evaluation>,
 }
 
+impl Start {
+    /// What writes the checkpoints of the training that begins here.
+    pub(super) fn saver<'a>(
+        &self,
+        options: &'a TrainingOptions,
+        train_options: TrainOptions,
+        dataset: &'a Dataset,
+        made: Made,
+        cloud: Option<CloudRecipe>,
+    ) -> Saver<'a> {
+        Saver {
+            options,
+            train_options,
+            dataset,
+            stopwatch: self.stopwatch,
+            made,
+            cloud,
+        }
+    }
+}
+
 fn train_from(
     options: &TrainingOptions,
     start: Start,
@@ -154,6 +185,14 @@ fn train_from(
     Ok(result)
 }
 
+/// The network of `preset` for the arms and the cameras of `dataset`.
+fn act_config(options: &TrainingOptions, preset: ActPreset, dataset: &Dataset) -> ActConfig {
+    ActConfig {
+        backbone_norm: options.backbone,
+        ..ActConfig::preset(preset, &cameras(dataset)).for_arms(dataset.arms())
+    }
+}
+
 fn train_act(
     options: &TrainingOptions,
     dataset: &Dataset,
@@ -162,31 +201,33 @@ fn train_act(
 ) -> Result<TrainingResult, SessionError> {
     let preset = parse_preset(&options.preset)?;
     let train_options = train_options(options, preset);
-    let config = ActConfig {
-        backbone_norm: options.backbone,
-        ..ActConfig::preset(preset, &cameras(dataset)).for_arms(dataset.arms())
-    };
-    let saver = Saver {
-        options,
-        train_options,
-        dataset,
-        stopwatch: start.stopwatch,
-        made: Made {
-            preset: preset.into(),
-            variants: Variants {
-                backbone_norm: config.backbone_norm,
-                loss_denominator: config.loss_denominator,
-            },
-            query_every_steps: query_every(options, QUERY_EVERY_STEPS, config.chunk_size)?,
+    let config = act_config(options, preset, dataset);
+    let made = Made {
+        preset: preset.into(),
+        variants: Variants {
+            backbone_norm: config.backbone_norm,
+            loss_denominator: config.loss_denominator,
         },
-        cloud: None,
+        query_every_steps: query_every(options, QUERY_EVERY_STEPS, config.chunk_size)?,
     };
+    let saver = start.saver(options, train_options, dataset, made, None);
     conduct(&saver, start, on_news, &mut |watcher| {
         let trained = start
             .trainer
             .run(&config, &train_options, dataset, watcher)?;
         Ok(AnyTrained::Act(trained.into()))
     })
+}
+
+/// Says what is learned from, and in how many steps.
+fn note_data(dataset: &Dataset, steps: u64, on_news: &mut OnNews<'_>) {
+    let mut learned_from = training_data::described(dataset);
+    if let Some(whole) = learned_from.last_mut() {
+        *whole += &format!("; {steps} steps");
+    }
+    for line in &learned_from {
+        on_news(&TrainingNews::Note(line));
+    }
 }
 
 /// Runs a training, watched, and writes its checkpoint and its loss curve.
@@ -198,29 +239,27 @@ pub(super) fn conduct(
 ) -> Result<TrainingResult, SessionError> {
     let (dataset, steps) = (saver.dataset, saver.train_options.steps);
     let evaluations = Evaluations::new(saver.options, dataset, start.evaluations.clone())?;
-    let mut learned_from = training_data::described(dataset);
-    if let Some(whole) = learned_from.last_mut() {
-        *whole += &format!("; {steps} steps");
-    }
-    for line in &learned_from {
-        on_news(&TrainingNews::Note(line));
-    }
+    note_data(dataset, steps, on_news);
     let mut watcher = Watcher::new(saver, evaluations, on_news);
     let trained = run(&mut watcher)?;
     let out = &saver.options.out;
     saver.save(out, &trained)?;
     write_curve(out, trained.curve())?;
+    Ok(result(steps, start.stopwatch.seconds(), &watcher, &trained))
+}
+
+fn result(steps: u64, seconds: f64, watcher: &Watcher<'_>, trained: &AnyTrained) -> TrainingResult {
     let last = trained.curve().last();
     let evaluations = watcher.evaluations.as_ref();
-    Ok(TrainingResult {
+    TrainingResult {
         steps,
         loss: last.map_or(f64::NAN, |row| row.loss),
         validation_l1: last.and_then(|row| row.validation_l1),
-        seconds: start.stopwatch.seconds(),
+        seconds,
         samples_per_second: watcher.pace.samples_per_second(),
         evaluations: evaluations.map_or(0, |all| all.rows().len()),
         best: evaluations.and_then(Evaluations::best),
-    })
+    }
 }
 
 /// The features of the dataset's cameras, which are those that the network sees.
@@ -276,7 +315,8 @@ pub(super) fn as_wanted(
     }
 }
 
-pub(super) fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
+/// The recipe for `preset` with the backbone and the augmentation that the user wants.
+fn base_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
     let base = if options.published {
         TrainOptions::published(preset)
     } else {
@@ -288,10 +328,14 @@ pub(super) fn train_options(options: &TrainingOptions, preset: ActPreset) -> Tra
         base.augmentation
     };
     let base = as_wanted(options, base, augmentation);
-    let base = match options.backbone {
+    match options.backbone {
         BackboneNorm::FrozenBatchNorm => base.for_trained_backbone(),
         BackboneNorm::GroupNorm => base,
-    };
+    }
+}
+
+pub(super) fn train_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
+    let base = base_options(options, preset);
     TrainOptions {
         steps: options.steps.unwrap_or(base.steps),
         batch: options.batch.unwrap_or(base.batch),

@@ -2,21 +2,21 @@
 
 use hal::count::count_u32;
 use trocar_data::dataset::Dataset;
+use trocar_data::perception::CloudRecipe;
 use trocar_data::relative_action::RELATIVE_ACTION_DIM;
-use trocar_nets::act::{ActPreset, BackboneNorm};
+use trocar_nets::act::ActPreset;
 use trocar_nets::act_pc::{ActPcConfig, ActPcPreset};
 use trocar_nets::checkpoint::Variants;
 use trocar_nets::dimension::{dimension, length};
 use trocar_nets::dp3::{Dp3Config, Dp3Preset};
-use trocar_train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrecision};
+use trocar_train::{AnyTrained, Augmentation, TrainOptions, TrainPrecision};
 
 use super::SessionError;
 use super::cloud_file::cloud_recipe;
 use super::training::{
-    OnNews, Start, TrainingOptions, TrainingResult, as_wanted, cameras, conduct, query_every,
+    OnNews, Start, TrainingOptions, TrainingResult, as_wanted, cameras, conduct, query_every, sound,
 };
 use super::training_recipe::Made;
-use super::training_save::Saver;
 
 /// Points in a cloud, of the published real tasks.
 const POINTS: usize = 1024;
@@ -46,25 +46,13 @@ pub(super) fn train_dp3(
     let config = Dp3Config::preset(preset, numbers, numbers);
     let train_options = dp3_options(options, dataset.len())?;
     let cloud = cloud_recipe(options.clouds.as_deref(), POINTS)?;
-    let saver = Saver {
-        options,
-        train_options,
-        dataset,
-        stopwatch: start.stopwatch,
-        made: Made {
-            preset: preset.into(),
-            variants: Variants {
-                backbone_norm: BackboneNorm::default(),
-                ..Variants::default()
-            },
-            query_every_steps: query_every(
-                options,
-                count_u32(length(config.n_action_steps)),
-                config.n_action_steps,
-            )?,
-        },
-        cloud: Some(cloud.clone()),
+    let steps = config.n_action_steps;
+    let made = Made {
+        preset: preset.into(),
+        variants: Variants::default(),
+        query_every_steps: query_every(options, count_u32(length(steps)), steps)?,
     };
+    let saver = start.saver(options, train_options, dataset, made, Some(cloud.clone()));
     conduct(&saver, start, on_news, &mut |watcher| {
         let trainer = &start.trainer;
         let trained = trainer.run_dp3(&config, &cloud, &train_options, dataset, watcher)?;
@@ -106,10 +94,7 @@ pub(super) fn dp3_options(
         seed: options.seed,
         ..as_wanted(options, published, augmentation(options))
     };
-    match train_options.defect() {
-        Some(defect) => Err(TrainError::Options(defect).into()),
-        None => Ok(train_options),
-    }
+    sound(train_options)
 }
 
 fn augmentation(options: &TrainingOptions) -> Augmentation {
@@ -142,16 +127,8 @@ fn refuse_images(options: &TrainingOptions, network: &str) -> Result<(), Session
     }
 }
 
-/// The named ACT-PC network, and ACT's recipe of its size with what the user wants otherwise.
-pub(super) fn act_pc_options(
-    options: &TrainingOptions,
-) -> Result<(ActPcPreset, TrainOptions), SessionError> {
-    refuse_images(options, "act-pc")?;
-    if options.bf16 {
-        return Err(SessionError::BadArgument(
-            "--bf16: not of act-pc: places of neighbours would be rounded by more than they are apart".to_owned(),
-        ));
-    }
+/// The named ACT-PC network, and ACT's recipe of its size or the published one.
+fn act_pc_base(options: &TrainingOptions) -> Result<(ActPcPreset, TrainOptions), SessionError> {
     let (preset, base) = match options.preset.as_str() {
         "small" => (ActPcPreset::Small, ActPreset::Small),
         "paper" => (ActPcPreset::Paper, ActPreset::Paper),
@@ -167,6 +144,20 @@ pub(super) fn act_pc_options(
         (true, ActPcPreset::PointCloudMatters) => TrainOptions::point_cloud_matters(),
         (true, ActPcPreset::Paper | ActPcPreset::Small) => TrainOptions::published(base),
     };
+    Ok((preset, base))
+}
+
+/// The named ACT-PC network, and ACT's recipe of its size with what the user wants otherwise.
+pub(super) fn act_pc_options(
+    options: &TrainingOptions,
+) -> Result<(ActPcPreset, TrainOptions), SessionError> {
+    refuse_images(options, "act-pc")?;
+    if options.bf16 {
+        return Err(SessionError::BadArgument(
+            "--bf16: not of act-pc: places of neighbours would be rounded by more than they are apart".to_owned(),
+        ));
+    }
+    let (preset, base) = act_pc_base(options)?;
     let train_options = TrainOptions {
         steps: options.steps.unwrap_or(base.steps),
         batch: options.batch.unwrap_or(base.batch),
@@ -177,10 +168,23 @@ pub(super) fn act_pc_options(
         seed: options.seed,
         ..as_wanted(options, base, augmentation(options))
     };
-    match train_options.defect() {
-        Some(defect) => Err(TrainError::Options(defect).into()),
-        None => Ok((preset, train_options)),
-    }
+    Ok((preset, sound(train_options)?))
+}
+
+/// The network of `preset` for the arms and the cameras of `dataset`, and the clouds that it sees.
+fn act_pc_config(
+    options: &TrainingOptions,
+    preset: ActPcPreset,
+    dataset: &Dataset,
+) -> Result<(ActPcConfig, CloudRecipe), SessionError> {
+    let config = ActPcConfig::preset(preset, &cameras(dataset));
+    let cloud = cloud_recipe(options.clouds.as_deref(), length(config.points))?;
+    let config = ActPcConfig {
+        act: config.act.for_arms(dataset.arms()),
+        points: dimension(cloud.points),
+        ..config
+    };
+    Ok((config, cloud))
 }
 
 /// Trains ACT-PC and writes the checkpoint and its loss curve.
@@ -191,33 +195,17 @@ pub(super) fn train_act_pc(
     on_news: &mut OnNews<'_>,
 ) -> Result<TrainingResult, SessionError> {
     let (preset, train_options) = act_pc_options(options)?;
-    let config = ActPcConfig::preset(preset, &cameras(dataset));
-    let points = length(config.points);
-    let cloud = cloud_recipe(options.clouds.as_deref(), points)?;
-    let config = ActPcConfig {
-        act: config.act.for_arms(dataset.arms()),
-        points: dimension(cloud.points),
-        ..config
-    };
-    let saver = Saver {
-        options,
-        train_options,
-        dataset,
-        stopwatch: start.stopwatch,
-        made: Made {
-            preset: preset.into(),
-            variants: Variants {
-                backbone_norm: BackboneNorm::default(),
-                loss_denominator: config.act.loss_denominator,
-            },
-            query_every_steps: query_every(
-                options,
-                count_u32(length(config.act.chunk_size / 2)),
-                config.act.chunk_size,
-            )?,
+    let (config, cloud) = act_pc_config(options, preset, dataset)?;
+    let steps = config.act.chunk_size;
+    let made = Made {
+        preset: preset.into(),
+        variants: Variants {
+            loss_denominator: config.act.loss_denominator,
+            ..Variants::default()
         },
-        cloud: Some(cloud.clone()),
+        query_every_steps: query_every(options, count_u32(length(steps / 2)), steps)?,
     };
+    let saver = start.saver(options, train_options, dataset, made, Some(cloud.clone()));
     conduct(&saver, start, on_news, &mut |watcher| {
         let trainer = &start.trainer;
         let trained = trainer.run_act_pc(&config, &cloud, &train_options, dataset, watcher)?;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tch::Device;
-use trocar_data::dataset::Dataset;
+use trocar_data::dataset::{CameraSpec, Dataset};
 
 use super::eval::{EvalOptions, evaluate};
 use super::policy_choice::PolicyChoice;
@@ -168,6 +168,16 @@ impl Evaluations {
         self.write_table()
     }
 
+    fn plan_of(&self, checkpoint: &Path) -> Result<Plan, SessionError> {
+        let policy = PolicyChoice::Checkpoint(checkpoint.to_owned());
+        Ok(Plan {
+            seed: self.plan.seed,
+            latency_ms: self.plan.latency_ms,
+            compute: self.device.into(),
+            ..Plan::load(&self.task, policy)?
+        })
+    }
+
     /// None if it was interrupted.
     fn evaluate(
         &self,
@@ -176,13 +186,7 @@ impl Evaluations {
         on_trial: &mut OnTrial<'_>,
     ) -> Result<Option<Score>, SessionError> {
         let TrainingEval { trials, jobs, .. } = self.plan;
-        let policy = PolicyChoice::Checkpoint(checkpoint.to_owned());
-        let plan = Plan {
-            seed: self.plan.seed,
-            latency_ms: self.plan.latency_ms,
-            compute: self.device.into(),
-            ..Plan::load(&self.task, policy)?
-        };
+        let plan = self.plan_of(checkpoint)?;
         let options = EvalOptions {
             trials,
             jobs,
@@ -263,24 +267,30 @@ fn check_task(task: &str, dataset: &Dataset) -> Result<(), SessionError> {
         )));
     }
     for camera in &dataset.spec().cameras {
-        let sizes = |(width, height)| format!("{width} by {height} pixels");
-        let seen = setup.task.cameras.iter().find(|it| it.name == camera.name);
-        let Some(seen) = seen.map(|camera| (camera.width, camera.height)) else {
-            return Err(refuse(format!(
-                "the dataset has camera {}, task {task} has {}",
-                camera.name,
-                setup.camera_names().join(", ")
-            )));
-        };
-        let recorded = (camera.width, camera.height);
-        if seen != recorded {
-            return Err(refuse(format!(
-                "camera {} of task {task} has {}, in the dataset it has {}",
-                camera.name,
-                sizes(seen),
-                sizes(recorded)
-            )));
-        }
+        check_camera(task, &setup, camera).map_err(refuse)?;
+    }
+    Ok(())
+}
+
+/// The task must have the `camera` of the dataset, of the same size.
+fn check_camera(task: &str, setup: &Setup, camera: &CameraSpec) -> Result<(), String> {
+    let sizes = |(width, height)| format!("{width} by {height} pixels");
+    let seen = setup.task.cameras.iter().find(|it| it.name == camera.name);
+    let Some(seen) = seen.map(|camera| (camera.width, camera.height)) else {
+        return Err(format!(
+            "the dataset has camera {}, task {task} has {}",
+            camera.name,
+            setup.camera_names().join(", ")
+        ));
+    };
+    let recorded = (camera.width, camera.height);
+    if seen != recorded {
+        return Err(format!(
+            "camera {} of task {task} has {}, in the dataset it has {}",
+            camera.name,
+            sizes(seen),
+            sizes(recorded)
+        ));
     }
     Ok(())
 }
@@ -292,9 +302,11 @@ fn best_in(out: &Path) -> Result<Option<Evaluation>, SessionError> {
         // It was cut off while they were replaced.
         rename(&old, &best)?;
     }
-    if !best.is_dir() {
-        return Ok(None);
-    }
+    best.is_dir().then(|| kept_evaluation(&best)).transpose()
+}
+
+/// How the weights in `best` did.
+fn kept_evaluation(best: &Path) -> Result<Evaluation, SessionError> {
     let file = best.join(RESULT_FILE);
     let refuse = |reason: &dyn std::fmt::Display| {
         SessionError::BadArgument(format!("{}: {reason}", file.display()))
@@ -305,7 +317,7 @@ fn best_in(out: &Path) -> Result<Option<Evaluation>, SessionError> {
     let evaluation: Evaluation =
         serde_json::from_value(result["evaluation"].take()).map_err(|error| refuse(&error))?;
     if (0.0..=1.0).contains(&evaluation.rate) {
-        return Ok(Some(evaluation));
+        return Ok(evaluation);
     }
     Err(refuse(&format!(
         "evaluation.rate = {} is outside [0, 1]",

@@ -19,7 +19,7 @@ pub enum TrainingNews<'a> {
         /// Time since the start, s.
         seconds: f64,
     },
-    /// Steps are being taken: told of the first one, then about twice a second, and of every row of the loss curve.
+    /// Steps are being taken: news of the first one, then about twice a second, and of every row of the loss curve.
     Standing(&'a Standing),
     /// The weights are being evaluated.
     Evaluating {
@@ -34,5 +34,5 @@ pub enum TrainingNews<'a> {
     },
 }
 
-/// Who hears the news.
+/// The receiver of the news.
 pub type OnNews<'a> = dyn FnMut(&TrainingNews<'_>) + 'a;

@@ -9,7 +9,7 @@ use trocar_train::CurveRow;
 const RECENT_S: f64 = 300.0;
 /// A training that still takes longer than this is warned of, s.
 const DAY_S: f64 = 86_400.0;
-/// Steps after the first one told of, or time since, s, from which on the pace is one to go by.
+/// Steps after the first one reported, or time since, s, from which on the pace is one to go by.
 const STEADY: (u64, f64) = (10, 30.0);
 
 /// Where a training stands.
@@ -31,6 +31,20 @@ pub struct Standing {
     pub seconds_left: Option<f64>,
 }
 
+fn write_row(f: &mut fmt::Formatter<'_>, row: &CurveRow) -> fmt::Result {
+    let CurveRow {
+        l1,
+        kl,
+        gradient_norm,
+        ..
+    } = row;
+    write!(f, ", l1 {l1:.5}, kl {kl:.5}, gradient {gradient_norm:.3}")?;
+    match row.validation_l1 {
+        Some(l1) => write!(f, ", validation l1 {l1:.5}"),
+        None => Ok(()),
+    }
+}
+
 impl fmt::Display for Standing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
@@ -39,16 +53,7 @@ impl fmt::Display for Standing {
             self.step, self.steps, self.loss
         )?;
         if let Some(row) = &self.row {
-            let CurveRow {
-                l1,
-                kl,
-                gradient_norm,
-                ..
-            } = row;
-            write!(f, ", l1 {l1:.5}, kl {kl:.5}, gradient {gradient_norm:.3}")?;
-            if let Some(l1) = row.validation_l1 {
-                write!(f, ", validation l1 {l1:.5}")?;
-            }
+            write_row(f, row)?;
         }
         if let Some(rate) = self.samples_per_second {
             write!(f, "; {rate:.1} samples/s")?;
@@ -70,7 +75,7 @@ pub(super) struct Pace {
     batch: usize,
     /// Steps and times in the last five minutes, oldest first.
     recent: VecDeque<(u64, f64)>,
-    /// The first step told of, and when.
+    /// The first step reported, and when.
     first: Option<(u64, f64)>,
     samples_per_second: Option<f64>,
     /// First and last row of the loss curve.
@@ -117,19 +122,22 @@ impl Pace {
             self.rows = Some([first, now]);
         }
         self.measure(now);
-        let rate = self.samples_per_second;
         Standing {
             step,
             steps,
             seconds,
             loss: loss.0,
             row: loss.1,
-            samples_per_second: rate,
-            seconds_left: rate.map(|rate| {
-                let samples = number(steps.saturating_sub(step)) * number(self.batch as u64);
-                samples / rate + number(asides_left) * self.aside_mean()
-            }),
+            samples_per_second: self.samples_per_second,
+            seconds_left: self.left_s(steps.saturating_sub(step), asides_left),
         }
+    }
+
+    /// The time for `steps` and `asides`, s, at the pace that is known.
+    fn left_s(&self, steps: u64, asides: u64) -> Option<f64> {
+        let rate = self.samples_per_second?;
+        let samples = number(steps) * number(self.batch as u64);
+        Some(samples / rate + number(asides) * self.aside_mean())
     }
 
     fn measure(&mut self, now: (u64, f64)) {

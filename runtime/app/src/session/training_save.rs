@@ -24,24 +24,27 @@ pub(super) struct Saver<'a> {
 }
 
 impl Saver<'_> {
+    fn cloud(&self) -> Result<&CloudRecipe, SessionError> {
+        let defect = "a network that sees clouds was trained without a recipe of them";
+        let cloud = self.cloud.as_ref();
+        cloud.ok_or_else(|| SessionError::BadArgument(defect.to_owned()))
+    }
+
     /// Writes `trained` into `folder`, which is made if it is not there.
     pub(super) fn save(&self, folder: &Path, trained: &AnyTrained) -> Result<(), SessionError> {
         let recipe = recipe(self, trained);
-        let cloud = || {
-            let defect = "a network that sees clouds was trained without a recipe of them";
-            let cloud = self.cloud.as_ref();
-            cloud.ok_or_else(|| SessionError::BadArgument(defect.to_owned()))
-        };
         match trained {
-            AnyTrained::Act(trained) => {
-                let options = training_backbone::kept(self.options.backbone);
-                let (act, statistics) = (&trained.network, &trained.statistics);
-                checkpoint::save(folder, act, statistics, &recipe, options)?;
-            }
+            AnyTrained::Act(trained) => checkpoint::save(
+                folder,
+                &trained.network,
+                &trained.statistics,
+                &recipe,
+                training_backbone::kept(self.options.backbone),
+            )?,
             AnyTrained::ActPc(trained) => checkpoint::save_act_pc(
                 folder,
                 &trained.network,
-                cloud()?,
+                self.cloud()?,
                 &trained.statistics,
                 &recipe,
                 Precision::F16,
@@ -49,7 +52,7 @@ impl Saver<'_> {
             AnyTrained::Dp3(trained) => checkpoint::save_dp3(
                 folder,
                 &trained.network,
-                cloud()?,
+                self.cloud()?,
                 &trained.statistics,
                 &recipe,
                 Precision::F16,

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use trocar_train::{AnyTrained, CurveRow, LossCurve, Progress, RunState, TrainError, Watch};
 
 use super::SessionError;
+use super::score::Score;
 use super::tensorboard::EventFile;
 use super::training::TrainingOptions;
 use super::training_eval::{BEST, Evaluation, Evaluations};
@@ -92,8 +93,8 @@ impl Stopwatch {
     }
 }
 
-/// Time between two steps that are told of, s. Telling waits for the device.
-const TELL_EVERY_S: f64 = 0.5;
+/// Time between two steps that are reported, s. A report waits for the device.
+const REPORT_EVERY_S: f64 = 0.5;
 
 /// Tells of a training, here and to TensorBoard, evaluates it, keeps its state in its folder, and stops it when the user asks for
 /// that.
@@ -103,8 +104,8 @@ pub(super) struct Watcher<'a> {
     on_news: &'a mut OnNews<'a>,
     pub(super) pace: Pace,
     events: Option<EventFile>,
-    /// When a step was told of the last time, s.
-    told_s: Option<f64>,
+    /// When a step was reported the last time, s.
+    reported_s: Option<f64>,
 }
 
 impl<'a> Watcher<'a> {
@@ -119,7 +120,7 @@ impl<'a> Watcher<'a> {
             on_news,
             pace: Pace::new(saver.train_options.batch),
             events: None,
-            told_s: None,
+            reported_s: None,
         }
     }
 
@@ -185,19 +186,8 @@ impl<'a> Watcher<'a> {
         let Some(evaluations) = &mut self.evaluations else {
             return Ok(());
         };
-        let on_news = &mut *self.on_news;
-        let row = evaluations.run(
-            step,
-            &|folder| saver.save(folder, trained),
-            &mut |step, trials, of, score| {
-                on_news(&TrainingNews::Evaluating {
-                    step,
-                    trials,
-                    of,
-                    score,
-                });
-            },
-        )?;
+        let save = |folder: &Path| saver.save(folder, trained);
+        let row = evaluations.run(step, &save, &mut trial_news(&mut *self.on_news))?;
         let best = evaluations.best();
         let seconds = saver.stopwatch.seconds() - before;
         self.pace.aside(seconds);
@@ -208,7 +198,12 @@ impl<'a> Watcher<'a> {
             return Ok(());
         };
         self.scalars(step, &[("evaluation/success_rate", row.rate)]);
-        let kept = if best == Some(row) {
+        self.note_evaluation(step, row, best == Some(row), seconds);
+        Ok(())
+    }
+
+    fn note_evaluation(&mut self, step: u64, row: Evaluation, is_best: bool, seconds: f64) {
+        let kept = if is_best {
             format!(
                 "; the best so far, kept in {}",
                 self.out().join(BEST).display()
@@ -221,7 +216,6 @@ impl<'a> Watcher<'a> {
             "step {step}: {} of {} trials succeeded, rate {:.2} [{low:.2}, {high:.2}], in {seconds:.0} s{kept}",
             row.successes, row.trials, row.rate
         ));
-        Ok(())
     }
 }
 
@@ -242,7 +236,7 @@ impl Watch for Watcher<'_> {
             }
             Progress::Begin { step, .. } => self.begin(step, seconds),
             Progress::Step { step, steps, loss } => {
-                self.told_s = Some(seconds);
+                self.reported_s = Some(seconds);
                 self.standing((step, steps), (loss, None), seconds);
             }
             Progress::Row { steps, row } => {
@@ -253,7 +247,8 @@ impl Watch for Watcher<'_> {
 
     fn wants_step(&mut self, _step: u64) -> bool {
         let now = self.saver.stopwatch.seconds();
-        self.told_s.is_none_or(|told| now - told >= TELL_EVERY_S)
+        self.reported_s
+            .is_none_or(|last| now - last >= REPORT_EVERY_S)
     }
 
     fn wants_network(&mut self, step: u64) -> bool {
@@ -299,4 +294,16 @@ pub(super) fn write_curve(folder: &Path, curve: &LossCurve) -> Result<(), Sessio
         fs::write(&path, text).map_err(|error| SessionError::output(&path, error))?;
     }
     Ok(())
+}
+
+/// Makes news of the trials of an evaluation.
+fn trial_news<'a>(on_news: &'a mut OnNews<'_>) -> impl FnMut(u64, usize, usize, Score) + 'a {
+    |step, trials, of, score| {
+        on_news(&TrainingNews::Evaluating {
+            step,
+            trials,
+            of,
+            score,
+        });
+    }
 }

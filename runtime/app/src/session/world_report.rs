@@ -95,7 +95,7 @@ fn scene_arm(arm: &ArmScene) -> SceneArm {
     }
 }
 
-/// The scene that `report` tells of, as experts see it.
+/// The scene in `report`, as experts see it.
 pub(super) fn scene_state(report: &SceneReport) -> SceneState {
     let arm = |arm: &SceneArm| ArmScene {
         tip_in_rcm: arm.tip_in_rcm.pose(),

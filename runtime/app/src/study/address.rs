@@ -45,17 +45,22 @@ impl std::fmt::Display for Address {
     }
 }
 
+/// Adds `fields` by the order of their keys.
+fn add_fields(hash: &mut Sha256, fields: &serde_json::Map<String, serde_json::Value>) {
+    let mut sorted: Vec<_> = fields.iter().collect();
+    sorted.sort_by_key(|(key, _)| key.as_str());
+    for (key, value) in sorted {
+        add_text(hash, key);
+        add(hash, value);
+    }
+}
+
 /// Adds `value` in a form in which no two values look the same.
 fn add(hash: &mut Sha256, value: &serde_json::Value) {
     match value {
         serde_json::Value::Object(fields) => {
-            let mut sorted: Vec<_> = fields.iter().collect();
-            sorted.sort_by_key(|(key, _)| key.as_str());
             hash.update(b"{");
-            for (key, value) in sorted {
-                add_text(hash, key);
-                add(hash, value);
-            }
+            add_fields(hash, fields);
             hash.update(b"}");
         }
         serde_json::Value::Array(items) => {

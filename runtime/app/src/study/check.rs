@@ -18,17 +18,7 @@ impl StudyFile {
     /// [`ConfigError`] naming file, line and key.
     pub(super) fn check(&self, source: &Source) -> Result<(), ConfigError> {
         check_counts(&self.run, &self.training, source)?;
-        let names = [
-            ("task", self.task.keys().collect::<Vec<_>>()),
-            ("network", self.network.keys().collect()),
-            ("recording", self.recording.keys().collect()),
-            ("execution", self.execution.keys().collect()),
-        ];
-        for (table, names) in names {
-            for name in names {
-                check_name(&format!("{table}.{name}"), name, source)?;
-            }
-        }
+        self.check_names(source)?;
         for (name, network) in &self.network {
             self.check_network(name, network, source)?;
         }
@@ -43,6 +33,22 @@ impl StudyFile {
                 return Err(source.out_of_range(&key, &grid.name, "names that no other grid has"));
             }
             self.check_grid(index, grid, source)?;
+        }
+        Ok(())
+    }
+
+    /// The names of tables must be plain.
+    fn check_names(&self, source: &Source) -> Result<(), ConfigError> {
+        let names = [
+            ("task", self.task.keys().collect::<Vec<_>>()),
+            ("network", self.network.keys().collect()),
+            ("recording", self.recording.keys().collect()),
+            ("execution", self.execution.keys().collect()),
+        ];
+        for (table, names) in names {
+            for name in names {
+                check_name(&format!("{table}.{name}"), name, source)?;
+            }
         }
         Ok(())
     }
@@ -64,20 +70,12 @@ impl StudyFile {
             let allowed = "single, multi or cameras' names, for a policy that is trained";
             return Err(source.out_of_range(&key("cameras"), "none", allowed));
         }
-        for task in network.on.keys() {
-            if !self.task.contains_key(task) {
-                let allowed = format!("the study's tasks: {}", joined(self.task.keys()));
-                return Err(source.out_of_range(&key("on"), task, &allowed));
-            }
+        let mut tasks = network.on.keys();
+        if let Some(task) = tasks.find(|task| !self.task.contains_key(*task)) {
+            let allowed = format!("the study's tasks: {}", joined(self.task.keys()));
+            return Err(source.out_of_range(&key("on"), task, &allowed));
         }
-        let numbers = network
-            .steps
-            .into_iter()
-            .chain(network.on.values().filter_map(|on| on.steps));
-        if numbers
-            .chain(network.batch.map(|batch| batch as u64))
-            .any(|number| number == 0)
-        {
+        if has_zero_count(network) {
             return Err(source.out_of_range(&key("steps"), "0", "1 or more, as is batch"));
         }
         Ok(())
@@ -89,32 +87,49 @@ impl StudyFile {
         grid: &GridSection,
         source: &Source,
     ) -> Result<(), ConfigError> {
+        self.check_axes(index, grid, source)?;
+        self.check_training(index, grid, source)?;
+        check_trials(index, grid, source)?;
+        for (number, rate) in grid.published.iter().flat_map(|p| &p.rates).enumerate() {
+            let key = format!("grid.{index}.published.rates.{number}.rate");
+            source.check_range(&key, rate.rate, 0.0, 1.0)?;
+        }
+        Ok(())
+    }
+
+    /// The values of a grid's axes must be distinct and known.
+    fn check_axes(
+        &self,
+        index: usize,
+        grid: &GridSection,
+        source: &Source,
+    ) -> Result<(), ConfigError> {
         let at = |key: &str| format!("grid.{index}.{key}");
         check_list(&at("tasks"), &grid.tasks, self.task.keys(), source)?;
         check_list(&at("networks"), &grid.networks, self.network.keys(), source)?;
-        check_known(
-            &at("recordings"),
-            &grid.recordings,
-            self.recording.keys(),
-            source,
-        )?;
-        check_known(
-            &at("executions"),
-            &grid.executions,
-            self.execution.keys(),
-            source,
-        )?;
+        let (recordings, executions) = (self.recording.keys(), self.execution.keys());
+        check_known(&at("recordings"), &grid.recordings, recordings, source)?;
+        check_known(&at("executions"), &grid.executions, executions, source)?;
         check_distinct(&at("needles"), &grid.needles, source)?;
         check_distinct(&at("demonstrations"), &grid.demonstrations, source)?;
         check_distinct(&at("training_seeds"), &grid.training_seeds, source)?;
         let views = ["train", "view1", "view2"].map(str::to_owned);
-        check_known(&at("views"), &grid.views, views.iter(), source)?;
-        let trained = |name: &String| {
-            self.network
-                .get(name)
-                .is_some_and(|n| n.policy.is_trained())
-        };
-        if grid.networks.iter().any(trained) {
+        check_known(&at("views"), &grid.views, views.iter(), source)
+    }
+
+    fn is_trained(&self, network: &str) -> bool {
+        let network = self.network.get(network);
+        network.is_some_and(|network| network.policy.is_trained())
+    }
+
+    /// A grid with networks that are trained needs something to train them with.
+    fn check_training(
+        &self,
+        index: usize,
+        grid: &GridSection,
+        source: &Source,
+    ) -> Result<(), ConfigError> {
+        if grid.networks.iter().any(|name| self.is_trained(name)) {
             let needed = "one or more, since networks of this grid are trained";
             for (key, empty) in [
                 ("recordings", grid.recordings.is_empty()),
@@ -122,27 +137,38 @@ impl StudyFile {
                 ("training_seeds", grid.training_seeds.is_empty()),
             ] {
                 if empty {
-                    return Err(source.out_of_range(&at(key), "[]", needed));
+                    let key = format!("grid.{index}.{key}");
+                    return Err(source.out_of_range(&key, "[]", needed));
                 }
             }
         }
-        if grid.demonstrations.contains(&0) {
-            return Err(source.out_of_range(&at("demonstrations"), "0", "[1, 1000000]"));
-        }
-        if grid.trials == 0 || grid.trials > 1_000_000 {
-            let trials = grid.trials.to_string();
-            return Err(source.out_of_range(&at("trials"), &trials, "[1, 1000000]"));
-        }
-        if grid.first_seed.checked_add(grid.trials as u64).is_none() {
-            let seed = grid.first_seed.to_string();
-            return Err(source.out_of_range(&at("first_seed"), &seed, "[0, 2^64 - trials)"));
-        }
-        for (number, rate) in grid.published.iter().flat_map(|p| &p.rates).enumerate() {
-            let key = at(&format!("published.rates.{number}.rate"));
-            source.check_range(&key, rate.rate, 0.0, 1.0)?;
-        }
         Ok(())
     }
+}
+
+/// How many demonstrations and trials a grid has, and from which seed on.
+fn check_trials(index: usize, grid: &GridSection, source: &Source) -> Result<(), ConfigError> {
+    let at = |key: &str| format!("grid.{index}.{key}");
+    if grid.demonstrations.contains(&0) {
+        return Err(source.out_of_range(&at("demonstrations"), "0", "[1, 1000000]"));
+    }
+    if grid.trials == 0 || grid.trials > 1_000_000 {
+        let trials = grid.trials.to_string();
+        return Err(source.out_of_range(&at("trials"), &trials, "[1, 1000000]"));
+    }
+    if grid.first_seed.checked_add(grid.trials as u64).is_none() {
+        let seed = grid.first_seed.to_string();
+        return Err(source.out_of_range(&at("first_seed"), &seed, "[0, 2^64 - trials)"));
+    }
+    Ok(())
+}
+
+/// Whether `network` is to be trained for no steps or in batches of none.
+fn has_zero_count(network: &NetworkSection) -> bool {
+    let elsewhere = network.on.values().filter_map(|on| on.steps);
+    let steps = network.steps.into_iter().chain(elsewhere);
+    let batch = network.batch.map(|batch| batch as u64);
+    steps.chain(batch).any(|count| count == 0)
 }
 
 fn check_counts(

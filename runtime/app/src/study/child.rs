@@ -11,7 +11,7 @@ use crate::rt;
 /// Tells a child the process that started it.
 pub const PARENT_VARIABLE: &str = "TROCAR_STUDY_PARENT";
 
-/// Lines of its log that a failure is told with.
+/// Lines of its log that a failure is reported with.
 const OUTCOME_LINES: usize = 3;
 
 /// A running verb.
@@ -49,14 +49,12 @@ impl Running {
         lock: &File,
         log: &Path,
     ) -> io::Result<Self> {
-        let said = OpenOptions::new().create(true).append(true).open(log)?;
         let mut command = Command::new(executable);
         command
             .args(arguments.as_slice())
             .env(PARENT_VARIABLE, std::process::id().to_string())
-            .stdin(Stdio::from(lock.try_clone()?))
-            .stdout(Stdio::from(said.try_clone()?))
-            .stderr(Stdio::from(said));
+            .stdin(Stdio::from(lock.try_clone()?));
+        append_output(&mut command, log)?;
         // Signals from the terminal come here first and are handed on.
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         if let Some(gpu) = gpu {
@@ -107,6 +105,15 @@ impl Running {
         let last = lines[lines.len().saturating_sub(OUTCOME_LINES)..].join(" | ");
         format!("{status}: {last}")
     }
+}
+
+/// Appends what `command` writes to its standard outputs to `log`.
+fn append_output(command: &mut Command, log: &Path) -> io::Result<()> {
+    let output = OpenOptions::new().create(true).append(true).open(log)?;
+    command
+        .stdout(Stdio::from(output.try_clone()?))
+        .stderr(Stdio::from(output));
+    Ok(())
 }
 
 /// Greatest memory of the process `id` so far, bytes.

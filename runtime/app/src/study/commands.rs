@@ -140,12 +140,16 @@ fn record(job: &RecordingJob, places: &Places, run: &RunSection, begin: Begin) -
         .flag("--resume", begin == Begin::Resumed)
 }
 
+/// The rest of a command line that resumes what was begun at `places`.
+fn resume(verb: Arguments, places: &Places) -> Arguments {
+    verb.path("--resume", &places.product)
+        .path("--json", &places.result)
+}
+
 fn train(job: &TrainingJob, places: &Places, begin: Begin) -> Arguments {
     let train = Arguments::default().word("train");
     if begin == Begin::Resumed {
-        return train
-            .path("--resume", &places.product)
-            .path("--json", &places.result);
+        return resume(train, places);
     }
     let data = places.input.clone().unwrap_or_default();
     train
@@ -167,17 +171,20 @@ fn train(job: &TrainingJob, places: &Places, begin: Begin) -> Arguments {
         .path("--json", &places.result)
 }
 
-fn eval(job: &EvaluationJob, places: &Places, run: &RunSection, abilities: Abilities) -> Arguments {
-    let eval = Arguments::default().word("eval").task(&job.task);
-    let input = places.input.clone().unwrap_or_default();
-    let with_policy = match &job.policy {
+/// Adds the policy of `job`, and of a network where it is computed.
+fn with_policy(eval: Arguments, job: &EvaluationJob, places: &Places) -> Arguments {
+    match &job.policy {
         PolicyInput::Named(name) => eval.option("--policy", name),
         PolicyInput::Training(_) | PolicyInput::Checkpoint { .. } => eval
-            .path("--policy", &input)
+            .path("--policy", &places.input.clone().unwrap_or_default())
             .option("--device", job.device.as_str())
             .option("--precision", job.precision.as_str()),
-    };
-    let arguments = with_policy
+    }
+}
+
+fn eval(job: &EvaluationJob, places: &Places, run: &RunSection, abilities: Abilities) -> Arguments {
+    let eval = Arguments::default().word("eval").task(&job.task);
+    let arguments = with_policy(eval, job, places)
         .option("--trials", job.trials)
         .option("--seed", job.first_seed)
         .option("--jobs", run.eval_jobs)

@@ -140,7 +140,7 @@ mod tests {
             left(Kind::Training, "act", 0.0),
             left(Kind::Training, "dp3", 0.0),
         ];
-        // A network that nobody trained takes what the others took.
+        // A network without a training that is done takes what the others took.
         let (seconds, whole) = time_left(&trainings, &durations);
         assert!((seconds - 200.0).abs() < 1e-9 && whole, "{seconds}");
         let more = [&trainings[..], &[left(Kind::Evaluation, "", 0.0)]].concat();

@@ -5,7 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::StudyError;
 use super::address::Address;
 use super::axis::{Axis, Coordinates};
-use super::file::{GridSection, NetworkSection, PolicyKind, StudyFile};
+use super::file::{
+    ExecutionSection, GridSection, NetworkSection, PolicyKind, RecordingSection, StudyFile,
+};
 use super::job::{EvaluationJob, Job, Kind, PolicyInput, RecordingJob, TaskInput, TrainingJob};
 use super::materials::Materials;
 use super::places::{cell_record, evaluation_label, grid_record, places, titles};
@@ -65,7 +67,8 @@ struct Expansion<'a> {
 }
 
 impl Expansion<'_> {
-    fn check_options(&self) -> Result<(), StudyError> {
+    /// Every list of options of the file, with its key.
+    fn options(&self) -> impl Iterator<Item = (String, &Vec<String>)> {
         let networks = self.file.network.iter().flat_map(|(name, network)| {
             let own = network.on.iter().filter_map(move |(task, on)| {
                 Some((
@@ -80,7 +83,11 @@ impl Expansion<'_> {
             .recording
             .iter()
             .map(|(name, r)| (format!("recording.{name}.options"), &r.options));
-        for (key, options) in networks.chain(recordings) {
+        networks.chain(recordings)
+    }
+
+    fn check_options(&self) -> Result<(), StudyError> {
+        for (key, options) in self.options() {
             let taken = options.iter().find(|option| {
                 let name = option.split('=').next().unwrap_or(option);
                 TAKEN.contains(&name)
@@ -193,14 +200,7 @@ impl Expansion<'_> {
         let key = format!("recording.{name}");
         let section = self.file.recording.get(&name);
         let section = section.ok_or_else(|| self.materials.bad(&key, "there is none"))?;
-        let mut options = Vec::new();
-        if let Some(share) = section.disturb {
-            options.extend(["--disturb".to_owned(), share.to_string()]);
-        }
-        if !section.vary.is_empty() {
-            options.extend(["--vary".to_owned(), section.vary.join(",")]);
-        }
-        options.extend(section.options.iter().cloned());
+        let options = recording_options(section);
         let seen = network.cameras.clone().unwrap_or_default();
         let (cameras, seen) = match &section.cameras {
             Some(recorded) => (recorded.clone(), Some(seen)),
@@ -220,15 +220,19 @@ impl Expansion<'_> {
             episodes: demonstrations,
         };
         let address = self.add(label, Job::Recording(job))?;
-        // Fewer demonstrations are the first ones of more.
+        self.need_demonstrations(&address, demonstrations);
+        Ok((address, seen))
+    }
+
+    /// Has the recording at `address` made with `count` demonstrations or more: fewer are the first ones of more.
+    fn need_demonstrations(&mut self, address: &Address, count: usize) {
         if let Some(Cell {
             job: Job::Recording(job),
             ..
-        }) = self.cells.get_mut(&address)
+        }) = self.cells.get_mut(address)
         {
-            job.episodes = job.episodes.max(demonstrations);
+            job.episodes = job.episodes.max(count);
         }
-        Ok((address, seen))
     }
 
     fn task(&self, name: &str) -> Result<TaskInput, StudyError> {
@@ -245,17 +249,15 @@ impl Expansion<'_> {
         self.evaluation_of(grid, at, policy, None)
     }
 
-    fn evaluation_of(
-        &mut self,
+    /// The execution mode at a place; only a network has chunks to which it applies.
+    fn execution(
+        &self,
         grid: &GridSection,
         at: &Coordinates,
-        policy: PolicyInput,
-        seed: Option<u64>,
-    ) -> Result<Address, StudyError> {
-        let execution = at
-            .execution
-            .as_ref()
-            .and_then(|name| self.file.execution.get(name));
+        policy: &PolicyInput,
+    ) -> Result<ExecutionSection, StudyError> {
+        let name = at.execution.as_ref();
+        let execution = name.and_then(|name| self.file.execution.get(name));
         let execution = execution.cloned().unwrap_or_default();
         if execution.changes_checkpoint() && matches!(policy, PolicyInput::Named(_)) {
             let reason = format!(
@@ -264,6 +266,17 @@ impl Expansion<'_> {
             );
             return Err(self.materials.bad(&format!("grid {}", grid.name), reason));
         }
+        Ok(execution)
+    }
+
+    fn evaluation_of(
+        &mut self,
+        grid: &GridSection,
+        at: &Coordinates,
+        policy: PolicyInput,
+        seed: Option<u64>,
+    ) -> Result<Address, StudyError> {
+        let execution = self.execution(grid, at, &policy)?;
         let job = EvaluationJob {
             code: self.materials.code.clone(),
             task: self.task(&at.task)?,
@@ -298,26 +311,21 @@ impl Expansion<'_> {
         Ok(address)
     }
 
+    fn recording_of(&self, entry: &Entry) -> Option<&RecordingJob> {
+        match &self.cells.get(entry.recording.as_ref()?)?.job {
+            Job::Recording(job) => Some(job),
+            Job::Training(_) | Job::Evaluation(_) => None,
+        }
+    }
+
     /// No policy may be evaluated on seeds that its demonstrations may have.
     fn check_overlap(&self) -> Result<(), StudyError> {
         for entry in &self.entries {
-            let recording = entry
-                .recording
-                .as_ref()
-                .and_then(|address| self.cells.get(address));
-            let Some(Cell {
-                job: Job::Recording(job),
-                ..
-            }) = recording
-            else {
+            let grid = self.file.grid.iter().find(|grid| grid.name == entry.grid);
+            let (Some(job), Some(grid)) = (self.recording_of(entry), grid) else {
                 continue;
             };
-            let Some(grid) = self.file.grid.iter().find(|grid| grid.name == entry.grid) else {
-                continue;
-            };
-            // `record` gives up after 4 n + 20 attempts, the last of which may come n at a time.
-            let attempts = (job.episodes as u64).saturating_mul(5).saturating_add(20);
-            let (first, end) = (job.seed, job.seed.saturating_add(attempts));
+            let (first, end) = recorded_seeds(job);
             let trials_end = grid.first_seed.saturating_add(grid.trials as u64);
             if first < trials_end && grid.first_seed < end || end == u64::MAX {
                 return Err(StudyError::Overlap {
@@ -332,11 +340,8 @@ impl Expansion<'_> {
         Ok(())
     }
 
-    fn plan(self, text: &str) -> Result<Plan, StudyError> {
-        let addresses: BTreeSet<&Address> =
-            self.entries.iter().map(|entry| &entry.evaluation).collect();
-        // How many demonstrations there are to be is part of the grid, though of no recording's address.
-        let grid = Address::of(&serde_json::json!({ "evaluations": addresses }));
+    /// The cells by kind, those of a kind in the order in which they were met.
+    fn sorted(&self) -> Vec<Cell> {
         let mut cells: Vec<Cell> = Vec::new();
         for kind in Kind::ALL {
             let of_kind = self
@@ -345,6 +350,15 @@ impl Expansion<'_> {
                 .filter_map(|address| self.cells.get(address));
             cells.extend(of_kind.filter(|cell| cell.job.kind() == kind).cloned());
         }
+        cells
+    }
+
+    fn plan(self, text: &str) -> Result<Plan, StudyError> {
+        let addresses: BTreeSet<&Address> =
+            self.entries.iter().map(|entry| &entry.evaluation).collect();
+        // How many demonstrations there are to be is part of the grid, though of no recording's address.
+        let grid = Address::of(&serde_json::json!({ "evaluations": addresses }));
+        let cells = self.sorted();
         let record = StudyRecord {
             format: STUDY_FORMAT,
             title: self.file.title.clone(),
@@ -361,4 +375,24 @@ impl Expansion<'_> {
         };
         Ok(Plan { cells, record })
     }
+}
+
+/// The options of `record` that `section` stands for.
+fn recording_options(section: &RecordingSection) -> Vec<String> {
+    let mut options = Vec::new();
+    if let Some(share) = section.disturb {
+        options.extend(["--disturb".to_owned(), share.to_string()]);
+    }
+    if !section.vary.is_empty() {
+        options.extend(["--vary".to_owned(), section.vary.join(",")]);
+    }
+    options.extend(section.options.iter().cloned());
+    options
+}
+
+/// The first seed that `job` may record, and the one after the last.
+fn recorded_seeds(job: &RecordingJob) -> (u64, u64) {
+    // `record` gives up after 4 n + 20 attempts, the last of which may come n at a time.
+    let attempts = (job.episodes as u64).saturating_mul(5).saturating_add(20);
+    (job.seed, job.seed.saturating_add(attempts))
 }

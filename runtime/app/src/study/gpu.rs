@@ -1,4 +1,4 @@
-//! What `nvidia-smi` tells of GPUs: their names, and how much memory each process has there.
+//! What `nvidia-smi` reports of GPUs: their names, and how much memory each process has there.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -40,25 +40,34 @@ pub struct MemoryWatch {
 impl MemoryWatch {
     /// Looks, if it is time to.
     pub fn look(&mut self, now: TimeNs) {
-        if let Some(asked) = &mut self.asked {
-            match asked.try_wait() {
-                Ok(None) => return,
-                Ok(Some(_)) => {
-                    let mut text = String::new();
-                    if let Some(out) = &mut asked.stdout
-                        && out.read_to_string(&mut text).is_ok()
-                    {
-                        self.note(&text);
-                    }
-                }
-                Err(_) => self.absent = true,
-            }
-            self.asked = None;
+        self.collect();
+        if self.asked.is_none() && !self.absent && now >= self.next {
+            self.next = now.plus_ns(EVERY_NS);
+            self.ask();
         }
-        if self.absent || now < self.next {
+    }
+
+    /// Notes the answer, if it has come.
+    fn collect(&mut self) {
+        let Some(asked) = &mut self.asked else {
             return;
+        };
+        match asked.try_wait() {
+            Ok(None) => return,
+            Ok(Some(_)) => {
+                let mut text = String::new();
+                if let Some(out) = &mut asked.stdout
+                    && out.read_to_string(&mut text).is_ok()
+                {
+                    self.note(&text);
+                }
+            }
+            Err(_) => self.absent = true,
         }
-        self.next = now.plus_ns(EVERY_NS);
+        self.asked = None;
+    }
+
+    fn ask(&mut self) {
         let asked = Command::new("nvidia-smi")
             .args([
                 "--query-compute-apps=pid,used_memory",

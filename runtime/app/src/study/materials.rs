@@ -72,15 +72,21 @@ impl Materials {
                 continue;
             };
             if network.policy == PolicyKind::Checkpoint {
-                let folder = materials.folder.join(checkpoint);
-                let hash = hash_folder(&folder).map_err(|error| {
-                    let reason = format!("{}: {error}", folder.display());
-                    materials.bad(&format!("network.{name}.checkpoint"), reason)
-                })?;
-                materials.checkpoints.insert(name.clone(), (hash, folder));
+                let hashed = materials.checkpoint(name, checkpoint)?;
+                materials.checkpoints.insert(name.clone(), hashed);
             }
         }
         Ok(materials)
+    }
+
+    /// Hash and folder of the checkpoint of network `name`.
+    fn checkpoint(&self, name: &str, checkpoint: &str) -> Result<(String, PathBuf), StudyError> {
+        let folder = self.folder.join(checkpoint);
+        let hash = hash_folder(&folder).map_err(|error| {
+            let reason = format!("{}: {error}", folder.display());
+            self.bad(&format!("network.{name}.checkpoint"), reason)
+        })?;
+        Ok((hash, folder))
     }
 
     /// The error of `cell`.
@@ -105,34 +111,38 @@ impl Materials {
         let key = format!("task.{name}");
         let files = tasks::files(&argument).map_err(|error| self.bad(&key, error.to_string()))?;
         let scene = section.scene.map(|scene| self.folder.join(scene));
-        let scene_sha256 = match &scene {
-            None => hash_text(files.scene.text()),
-            Some(path) => hash_file(path).map_err(|error| {
-                let reason = format!("scene {}: {error}", path.display());
-                self.bad(&key, reason)
-            })?,
-        };
-        // A scene with a patient is another one with another patient.
-        let text = match &scene {
-            None => Ok(files.scene),
-            Some(path) => Source::read(&path.display().to_string()),
-        };
-        let text = text.map_err(|error| self.bad(&key, error.to_string()))?;
-        let patient = patient_file(&text);
-        let patient =
-            patient.map(|path| hash_file(&path).map_err(|error| StudyError::io(&path, error)));
-        let scene_sha256 = match patient.transpose()? {
-            None => scene_sha256,
-            Some(patient) => hash_text(&format!("{scene_sha256} {patient}")),
-        };
         Ok(TaskInput {
             task: files.name,
-            scene_sha256,
+            scene_sha256: self.scene_hash(&key, files.scene, scene.as_deref())?,
             safety_sha256: hash_text(files.safety.text()),
             control_sha256: hash_text(ControlConfig::default_control().text()),
             argument,
             scene,
         })
+    }
+
+    /// Hash of the scene in the file `other`, or of the task's `own`. A scene with a patient is another one with another
+    /// patient.
+    fn scene_hash(
+        &self,
+        key: &str,
+        own: Source,
+        other: Option<&Path>,
+    ) -> Result<String, StudyError> {
+        let scene_sha256 = match other {
+            None => hash_text(own.text()),
+            Some(path) => hash_file(path).map_err(|error| {
+                let reason = format!("scene {}: {error}", path.display());
+                self.bad(key, reason)
+            })?,
+        };
+        let text = other.map_or(Ok(own), |path| Source::read(&path.display().to_string()));
+        let text = text.map_err(|error| self.bad(key, error.to_string()))?;
+        let Some(patient) = patient_file(&text) else {
+            return Ok(scene_sha256);
+        };
+        let patient = hash_file(&patient).map_err(|error| StudyError::io(&patient, error))?;
+        Ok(hash_text(&format!("{scene_sha256} {patient}")))
     }
 
     /// Hashes of the files that `options` name, of those that are there.

@@ -44,9 +44,9 @@ pub(super) fn grid_record(grid: &GridSection) -> GridRecord {
     }
 }
 
-/// Every place of `grid`; what is not trained has no recording and no number of demonstrations.
-pub(super) fn places(file: &StudyFile, grid: &GridSection) -> Vec<Coordinates> {
-    let start = Coordinates {
+/// What no axis has placed yet.
+fn unplaced() -> Coordinates {
+    Coordinates {
         task: String::new(),
         network: String::new(),
         recording: None,
@@ -54,8 +54,12 @@ pub(super) fn places(file: &StudyFile, grid: &GridSection) -> Vec<Coordinates> {
         needle: None,
         view: "train".to_owned(),
         execution: None,
-    };
-    let places = vec![start];
+    }
+}
+
+/// Every place of `grid`; what is not trained has no recording and no number of demonstrations.
+pub(super) fn places(file: &StudyFile, grid: &GridSection) -> Vec<Coordinates> {
+    let places = vec![unplaced()];
     let places = each(places, &grid.tasks, |at, task| at.task = task);
     let places = each(places, &grid.recordings, |at, name| {
         at.recording = Some(name)
@@ -68,7 +72,12 @@ pub(super) fn places(file: &StudyFile, grid: &GridSection) -> Vec<Coordinates> {
     let places = each(places, &grid.demonstrations, |at, count| {
         at.demonstrations = Some(count)
     });
-    let mut places = each(places, &grid.networks, |at, network| at.network = network);
+    let places = each(places, &grid.networks, |at, network| at.network = network);
+    distinct(file, places)
+}
+
+/// Each of `places` once, without what only the training of a network depends on where none is trained.
+fn distinct(file: &StudyFile, mut places: Vec<Coordinates>) -> Vec<Coordinates> {
     let mut seen = BTreeSet::new();
     places.retain_mut(|at| {
         let network = file.network.get(&at.network);
@@ -108,34 +117,14 @@ pub(super) fn titles(file: &StudyFile) -> BTreeMap<Axis, BTreeMap<String, String
             .filter_map(|(name, title)| Some((name.clone(), title.clone()?)))
             .collect()
     }
+    let tasks = file.task.iter().map(|(name, it)| (name, &it.title));
+    let networks = file.network.iter().map(|(name, it)| (name, &it.title));
+    let recordings = file.recording.iter().map(|(name, it)| (name, &it.title));
+    let executions = file.execution.iter().map(|(name, it)| (name, &it.title));
     BTreeMap::from([
-        (
-            Axis::Task,
-            of(file
-                .task
-                .iter()
-                .map(|(name, section)| (name, &section.title))),
-        ),
-        (
-            Axis::Network,
-            of(file
-                .network
-                .iter()
-                .map(|(name, section)| (name, &section.title))),
-        ),
-        (
-            Axis::Recording,
-            of(file
-                .recording
-                .iter()
-                .map(|(name, section)| (name, &section.title))),
-        ),
-        (
-            Axis::Execution,
-            of(file
-                .execution
-                .iter()
-                .map(|(name, section)| (name, &section.title))),
-        ),
+        (Axis::Task, of(tasks)),
+        (Axis::Network, of(networks)),
+        (Axis::Recording, of(recordings)),
+        (Axis::Execution, of(executions)),
     ])
 }

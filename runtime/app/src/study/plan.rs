@@ -103,6 +103,13 @@ impl StudyRecord {
         let title = self.titles.get(&axis).and_then(|titles| titles.get(name));
         title.map_or_else(|| name.to_owned(), Clone::clone)
     }
+
+    /// How many cells of `kind` there are.
+    #[must_use]
+    pub fn count_of(&self, kind: Kind) -> usize {
+        let cells = self.cells.values();
+        cells.filter(|cell| cell.kind == kind).count()
+    }
 }
 
 /// A study, ready to be run.
@@ -159,18 +166,7 @@ impl Plan {
         let Some(shard) = shard else {
             return self.cells.iter().map(|cell| cell.address.clone()).collect();
         };
-        let dealt: BTreeSet<&Address> = self
-            .cells
-            .iter()
-            .filter(|cell| is_dealt(cell))
-            .map(|cell| &cell.address)
-            .collect();
-        let mut part: BTreeSet<Address> = dealt
-            .into_iter()
-            .enumerate()
-            .filter(|(place, _)| place % shard.count + 1 == shard.index)
-            .map(|(_, address)| address.clone())
-            .collect();
+        let mut part = self.dealt(shard);
         for cell in &self.cells {
             let of_part = cell.job.inputs().iter().any(|input| part.contains(input));
             if cell.job.kind() == Kind::Evaluation && of_part {
@@ -183,6 +179,22 @@ impl Plan {
             }
         }
         part
+    }
+
+    /// What is dealt out to `shard`.
+    fn dealt(&self, shard: Shard) -> BTreeSet<Address> {
+        let dealt: BTreeSet<&Address> = self
+            .cells
+            .iter()
+            .filter(|cell| is_dealt(cell))
+            .map(|cell| &cell.address)
+            .collect();
+        dealt
+            .into_iter()
+            .enumerate()
+            .filter(|(place, _)| place % shard.count + 1 == shard.index)
+            .map(|(_, address)| address.clone())
+            .collect()
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::job::Job;
+use super::job::{EvaluationJob, Job, RecordingJob, TrainingJob};
 
 #[derive(Deserialize)]
 struct Recorded {
@@ -30,7 +30,43 @@ struct Trial {
     seed: u64,
 }
 
-/// Checks that the result at `path` is what `job` asked for; gives the hash of the weights that it is of, if it tells.
+impl Recorded {
+    fn check(&self, job: &RecordingJob) -> Result<(), String> {
+        let (found, asked) = (self.episodes, job.episodes);
+        // A training takes the first ones.
+        if found < asked {
+            return Err(format!("{found} demonstrations in place of {asked}"));
+        }
+        Ok(())
+    }
+}
+
+impl Trained {
+    fn check(&self, job: &TrainingJob) -> Result<(), String> {
+        if job.steps.is_some_and(|steps| steps != self.steps) {
+            return Err(format!("{} steps in place of {:?}", self.steps, job.steps));
+        }
+        Ok(())
+    }
+}
+
+impl Evaluated {
+    fn check(&self, job: &EvaluationJob) -> Result<(), String> {
+        let seeds = (0..job.trials as u64).map(|index| job.first_seed.wrapping_add(index));
+        if !self.episodes.iter().map(|trial| trial.seed).eq(seeds) || self.trials > job.trials {
+            let (found, asked) = (self.episodes.len(), job.trials);
+            return Err(format!(
+                "{found} trials in place of {asked}, or other seeds"
+            ));
+        }
+        if self.successes > self.trials {
+            return Err("more successes than trials".to_owned());
+        }
+        Ok(())
+    }
+}
+
+/// Checks that the result at `path` is what `job` asked for; gives the hash of the weights that it is of, if it reports one.
 ///
 /// # Errors
 /// What is wrong with it.
@@ -40,36 +76,15 @@ pub(super) fn check(job: &Job, path: &Path) -> Result<Option<String>, String> {
     match job {
         Job::Recording(job) => {
             let found: Recorded = serde_json::from_str(&text).map_err(|error| in_file(&error))?;
-            // A training takes the first ones.
-            if found.episodes < job.episodes {
-                let (found, asked) = (found.episodes, job.episodes);
-                return Err(in_file(&format!(
-                    "{found} demonstrations in place of {asked}"
-                )));
-            }
+            found.check(job).map_err(|defect| in_file(&defect))?;
         }
         Job::Training(job) => {
             let found: Trained = serde_json::from_str(&text).map_err(|error| in_file(&error))?;
-            if job.steps.is_some_and(|steps| steps != found.steps) {
-                return Err(in_file(&format!(
-                    "{} steps in place of {:?}",
-                    found.steps, job.steps
-                )));
-            }
+            found.check(job).map_err(|defect| in_file(&defect))?;
         }
         Job::Evaluation(job) => {
             let found: Evaluated = serde_json::from_str(&text).map_err(|error| in_file(&error))?;
-            let seeds = (0..job.trials as u64).map(|index| job.first_seed.wrapping_add(index));
-            if !found.episodes.iter().map(|trial| trial.seed).eq(seeds) || found.trials > job.trials
-            {
-                let (found, asked) = (found.episodes.len(), job.trials);
-                return Err(in_file(&format!(
-                    "{found} trials in place of {asked}, or other seeds"
-                )));
-            }
-            if found.successes > found.trials {
-                return Err(in_file(&"more successes than trials"));
-            }
+            found.check(job).map_err(|defect| in_file(&defect))?;
             return Ok(found.weights_sha256);
         }
     }

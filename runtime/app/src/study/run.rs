@@ -59,6 +59,17 @@ enum Status {
     Skipped,
 }
 
+impl Status {
+    /// Whether a cell is to be begun, as far as itself is concerned.
+    fn is_due(&self, now: TimeNs) -> bool {
+        match self {
+            Self::Waiting => true,
+            Self::Elsewhere(until) => now >= *until,
+            Self::Running | Self::Done | Self::Failed | Self::Skipped => false,
+        }
+    }
+}
+
 struct Work {
     cell: usize,
     running: Running,
@@ -120,12 +131,6 @@ impl<'a> Runner<'a> {
             .iter()
             .filter(|cell| part.contains(&cell.address))
             .collect();
-        let mut order: Vec<usize> = (0..cells.len()).collect();
-        order.sort_by_key(|&index| match cells[index].job.kind() {
-            Kind::Evaluation => 0,
-            Kind::Training => 1,
-            Kind::Recording => 2,
-        });
         let needs_gpu = cells.iter().any(|cell| cell.job.on_gpu());
         Self {
             places: cells
@@ -133,7 +138,7 @@ impl<'a> Runner<'a> {
                 .enumerate()
                 .map(|(index, cell)| (&cell.address, index))
                 .collect(),
-            order,
+            order: begin_order(&cells),
             status: vec![Status::Waiting; cells.len()],
             cells,
             all: plan.cells.iter().collect(),
@@ -185,24 +190,15 @@ impl<'a> Runner<'a> {
         let now = self.clock.now();
         for place in 0..self.order.len() {
             let index = self.order[place];
-            match self.status[index] {
-                Status::Waiting => {}
-                Status::Elsewhere(until) if now >= until => {}
-                Status::Elsewhere(_)
-                | Status::Running
-                | Status::Done
-                | Status::Failed
-                | Status::Skipped => continue,
+            if !self.status[index].is_due(now) {
+                continue;
             }
             match self.inputs(index) {
                 Inputs::Missing => continue,
                 // What is done needs nothing any more.
                 Inputs::Lost(_) if self.settled(index) => continue,
                 Inputs::Lost(input) => {
-                    self.status[index] = Status::Skipped;
-                    self.outcome.skipped += 1;
-                    let reason = format!("skipped: it needs {input}");
-                    self.tell(index, &reason);
+                    self.skip(index, &input);
                     continue;
                 }
                 Inputs::Done => {}
@@ -213,6 +209,12 @@ impl<'a> Runner<'a> {
             }
         }
         Ok(())
+    }
+
+    fn skip(&mut self, index: usize, input: &str) {
+        self.status[index] = Status::Skipped;
+        self.outcome.skipped += 1;
+        self.tell(index, &format!("skipped: it needs {input}"));
     }
 
     fn inputs(&self, index: usize) -> Inputs {
@@ -239,6 +241,17 @@ impl<'a> Runner<'a> {
         }
         inputs
     }
+}
+
+/// The places of `cells` in the order of [`Runner::order`].
+fn begin_order(cells: &[&Cell]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..cells.len()).collect();
+    order.sort_by_key(|&index| match cells[index].job.kind() {
+        Kind::Evaluation => 0,
+        Kind::Training => 1,
+        Kind::Recording => 2,
+    });
+    order
 }
 
 /// How what a cell needs stands.

@@ -49,7 +49,7 @@ pub struct Manifest {
     pub attempts: u32,
     /// Demonstrations, of a recording.
     pub episodes: Option<usize>,
-    /// SHA-256 of the weights that were evaluated, of an evaluation that tells.
+    /// SHA-256 of the weights that were evaluated, of an evaluation that reports it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights_sha256: Option<String>,
     /// Its files.
@@ -142,31 +142,10 @@ impl Store {
     #[must_use]
     pub fn state(&self, kind: Kind, address: &Address) -> State {
         let folder = self.cell(kind, address);
-        let manifest = folder.join("cell.json");
-        let text = match fs::read_to_string(&manifest) {
-            Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                let begun = folder.join("attempts.json").exists();
-                return if begun { State::Begun } else { State::Missing };
-            }
-            Err(error) => return State::Damaged(format!("{}: {error}", manifest.display())),
-        };
-        let read: Manifest = match serde_json::from_str(&text) {
+        let read = match manifest(&folder, address) {
             Ok(read) => read,
-            Err(error) => {
-                return State::Damaged(format!(
-                    "{}: cut off or changed: {error}",
-                    manifest.display()
-                ));
-            }
+            Err(state) => return state,
         };
-        if read.format != MANIFEST_FORMAT || read.address != *address {
-            return State::Damaged(format!(
-                "{}: is of cell {}",
-                manifest.display(),
-                read.address
-            ));
-        }
         let kept_apart = [product_name(kind), EXECUTED];
         let is_gone = |file: &&FileRecord| {
             kept_apart.iter().any(|name| file.path.starts_with(name))
@@ -232,7 +211,7 @@ impl Store {
         Ok(())
     }
 
-    /// Takes a cell's lock, if nobody else has it.
+    /// Takes a cell's lock, if no other process has it.
     ///
     /// # Errors
     /// [`StudyError::Io`].
@@ -246,7 +225,7 @@ impl Store {
         }
     }
 
-    /// Takes part in a cell's lock, beside others who only read it, if nobody changes it.
+    /// Takes part in a cell's lock, beside others who only read it, if no process changes it.
     ///
     /// # Errors
     /// [`StudyError::Io`].
@@ -344,4 +323,24 @@ impl Store {
     pub fn keep_study(&self, record: &StudyRecord) -> Result<(), StudyError> {
         write_json(&self.root.join("study.json"), record)
     }
+}
+
+/// The manifest of the cell at `address` in `folder`, or how the cell stands that has none.
+fn manifest(folder: &Path, address: &Address) -> Result<Manifest, State> {
+    let path = folder.join("cell.json");
+    let damaged = |reason: String| State::Damaged(format!("{}: {reason}", path.display()));
+    let text = match fs::read_to_string(&path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            let begun = folder.join("attempts.json").exists();
+            return Err(if begun { State::Begun } else { State::Missing });
+        }
+        Err(error) => return Err(damaged(error.to_string())),
+    };
+    let read: Manifest = serde_json::from_str(&text)
+        .map_err(|error| damaged(format!("cut off or changed: {error}")))?;
+    if read.format != MANIFEST_FORMAT || read.address != *address {
+        return Err(damaged(format!("is of cell {}", read.address)));
+    }
+    Ok(read)
 }

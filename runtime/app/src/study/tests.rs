@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use hal::config::Source;
 
@@ -13,6 +13,7 @@ use super::job::{Job, Kind};
 use super::plan::{Plan, Shard};
 use super::store::{Attempts, EXECUTED, MANIFEST_FORMAT, Manifest, State, Store};
 use super::{Materials, StudyError, expand};
+use crate::session::scratch::Scratch;
 
 const TINY: &str = include_str!("../../../../config/studies/tiny.toml");
 const SUFIA_BC: &str = include_str!("../../../../config/studies/sufia-bc.toml");
@@ -51,11 +52,12 @@ fn addresses(plan: &Plan, kind: Kind) -> Vec<&str> {
 #[test]
 fn the_papers_studies_are_one_grid_that_shares_its_cells() {
     let plan = plan(SUFIA_BC);
-    // 20 of disturbed demonstrations, 50 short ones of 10 to 50; of the lift alone 4 of plain ones, 2 of varied needles, 4 of moved cameras.
-    assert_eq!(count(&plan, Kind::Training), 20 + 50 + 4 + 2 + 4);
-    // With one camera, with several, and with one and its depth: of disturbed demonstrations and the lift's moved cameras; of plain ones the
-    // last two and the lift's first; of varied needles the first two.
-    assert_eq!(count(&plan, Kind::Recording), 3 * 5 + 3 + 2 * 5 + 1 + 2);
+    // 20 of disturbed demonstrations, 50 short ones of 10 to 50; of the lift alone 4 each of plain ones, of varied needles and of moved
+    // cameras.
+    assert_eq!(count(&plan, Kind::Training), 20 + 50 + 4 + 4 + 4);
+    // With one camera, with several, and with one and its depth: of disturbed demonstrations, the lift's varied needles and its moved
+    // cameras; of plain ones the last two and the lift's first.
+    assert_eq!(count(&plan, Kind::Recording), 3 * 5 + 3 + 3 + 2 * 5 + 1);
     let table: Vec<_> = plan
         .record
         .entries
@@ -360,12 +362,6 @@ fn untrained_policies_are_listed_once() {
     assert_eq!(places, ["", ""]);
 }
 
-fn scratch(name: &str) -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("trocar-study-{}-{name}", std::process::id()));
-    let _absent = fs::remove_dir_all(&folder);
-    folder
-}
-
 /// A cell that is done, with one file of content.
 fn done(store: &Store) -> Address {
     let address = Address::of(&serde_json::json!("cell"));
@@ -404,7 +400,8 @@ fn damage(store: &Store, address: &Address) -> String {
 
 #[test]
 fn a_cell_is_done_only_as_long_as_its_files_are_what_they_were() {
-    let store = Store::new(scratch("done"));
+    let folder = Scratch::new("study-done");
+    let store = Store::new(folder.0.clone());
     let missing = Address::of(&serde_json::json!("other"));
     assert_eq!(store.state(Kind::Evaluation, &missing), State::Missing);
     store
@@ -449,7 +446,8 @@ fn a_cell_is_done_only_as_long_as_its_files_are_what_they_were() {
 
 #[test]
 fn a_cells_result_outlives_what_it_made() {
-    let store = Store::new(scratch("bare"));
+    let folder = Scratch::new("study-bare");
+    let store = Store::new(folder.0.clone());
     let address = Address::of(&serde_json::json!("cell"));
     let kept = store.product(Kind::Evaluation, &address);
     fs::create_dir_all(&kept).unwrap();
@@ -474,7 +472,8 @@ fn a_cells_result_outlives_what_it_made() {
 
 #[test]
 fn a_cell_is_locked_by_one_and_read_by_many() {
-    let store = Store::new(scratch("lock"));
+    let folder = Scratch::new("study-lock");
+    let store = Store::new(folder.0.clone());
     let address = Address::of(&serde_json::json!("cell"));
     let lock = store.lock(Kind::Recording, &address).unwrap();
     assert!(lock.is_some());

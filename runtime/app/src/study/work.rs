@@ -8,7 +8,7 @@ use super::address::Address;
 use super::child::Ended;
 use super::commands::{Abilities, Arguments, Begin, CommandLine, Places, command_line};
 use super::file::{ExecutionSection, StudyFile};
-use super::job::{Job, Kind, PolicyInput};
+use super::job::{EvaluationJob, Job, Kind, PolicyInput};
 use super::plan::Cell;
 use super::store::{Attempts, EXECUTED, MANIFEST_FORMAT, Manifest, Store};
 use super::{StudyError, result};
@@ -116,6 +116,36 @@ impl Workshop<'_> {
         }
     }
 
+    /// How the recording of `cell` in `product` is begun; none if it is there, `whole`.
+    fn begin_recording(
+        &self,
+        cell: &Cell,
+        product: &Path,
+        whole: bool,
+    ) -> Result<Option<Begin>, StudyError> {
+        let done = self.store.product(Kind::Recording, &cell.address);
+        if whole && (done.exists() || product.exists()) {
+            return Ok(None);
+        }
+        // More demonstrations than there are: what is there is their beginning.
+        let folder = self.store.cell(Kind::Recording, &cell.address);
+        remove(&folder.join("cell.json"))?;
+        if done.exists() && !product.exists() {
+            rename(&done, product)?;
+        }
+        let resumes = self.abilities.record_resume && outputs::has_recording(product);
+        Ok(Some(if resumes { Begin::Resumed } else { Begin::New }))
+    }
+
+    /// Writes the checkpoint of `job` with its execution mode into `policy`.
+    fn change_execution(&self, job: &EvaluationJob, policy: &Path) -> Result<(), StudyError> {
+        let Some(from) = self.checkpoint(&job.policy) else {
+            return Ok(());
+        };
+        remove(policy)?;
+        executed_otherwise(&from, policy, &job.execution)
+    }
+
     /// Makes a cell ready to be begun or resumed. The caller holds its lock.
     ///
     /// # Errors
@@ -124,25 +154,13 @@ impl Workshop<'_> {
         let places = self.places(cell);
         let folder = self.store.cell(cell.job.kind(), &cell.address);
         let whole = result::check(&cell.job, &places.result).is_ok();
-        let state = places.product.join(TRAINING_STATE);
+        let interrupted = places.product.join(TRAINING_STATE).is_file();
         let begin = match &cell.job {
-            Job::Recording(_) => {
-                let done = self.store.product(Kind::Recording, &cell.address);
-                if whole && (done.exists() || places.product.exists()) {
-                    return Ok(Start::Found);
-                }
-                // More demonstrations than there are: what is there is their beginning.
-                remove(&folder.join("cell.json"))?;
-                if done.exists() && !places.product.exists() {
-                    rename(&done, &places.product)?;
-                }
-                if self.abilities.record_resume && outputs::has_recording(&places.product) {
-                    Begin::Resumed
-                } else {
-                    Begin::New
-                }
-            }
-            Job::Training(_) if state.is_file() => Begin::Resumed,
+            Job::Recording(_) => match self.begin_recording(cell, &places.product, whole)? {
+                Some(begin) => begin,
+                None => return Ok(Start::Found),
+            },
+            Job::Training(_) if interrupted => Begin::Resumed,
             Job::Training(_) if whole => return Ok(Start::Found),
             Job::Evaluation(_) if whole => return Ok(Start::Found),
             Job::Training(_) | Job::Evaluation(_) => Begin::New,
@@ -152,14 +170,9 @@ impl Workshop<'_> {
             remove(&places.product)?;
         }
         if let Job::Evaluation(job) = &cell.job
-            && let (true, Some(from)) = (
-                job.execution.changes_checkpoint(),
-                self.checkpoint(&job.policy),
-            )
+            && job.execution.changes_checkpoint()
         {
-            let policy = folder.join(EXECUTED);
-            remove(&policy)?;
-            executed_otherwise(&from, &policy, &job.execution)?;
+            self.change_execution(job, &folder.join(EXECUTED))?;
         }
         let arguments = command_line(&cell.job, &places, &self.file.run, begin, self.abilities);
         Ok(Start::Run(arguments, begin))
@@ -188,17 +201,30 @@ impl Workshop<'_> {
     pub fn finish(&self, cell: &Cell, took: Took) -> Result<Manifest, String> {
         let places = self.places(cell);
         let weights_sha256 = result::check(&cell.job, &places.result)?;
-        let mut episodes = None;
-        if let Job::Recording(job) = &cell.job {
-            episodes = Some(job.episodes);
+        if let Job::Recording(_) = &cell.job
+            && places.product.exists()
+        {
             let done = self.store.product(Kind::Recording, &cell.address);
-            if places.product.exists() {
-                remove(&done).map_err(|error| error.to_string())?;
-                rename(&places.product, &done).map_err(|error| error.to_string())?;
-            }
+            remove(&done).map_err(|error| error.to_string())?;
+            rename(&places.product, &done).map_err(|error| error.to_string())?;
         }
         let recipe = cell.job.recipe().map_err(|error| error.to_string())?;
         let manifest = Manifest {
+            weights_sha256,
+            ..self.manifest(cell, recipe, took)
+        };
+        let finished = self.store.finish(cell.job.kind(), manifest.clone());
+        finished.map_err(|error| error.to_string())?;
+        Ok(manifest)
+    }
+
+    /// The manifest of a cell, without what its files tell.
+    fn manifest(&self, cell: &Cell, recipe: serde_json::Value, took: Took) -> Manifest {
+        let episodes = match &cell.job {
+            Job::Recording(job) => Some(job.episodes),
+            Job::Training(_) | Job::Evaluation(_) => None,
+        };
+        Manifest {
             format: MANIFEST_FORMAT,
             address: cell.address.clone(),
             label: cell.label.clone(),
@@ -212,12 +238,9 @@ impl Workshop<'_> {
             gpu_memory_bytes: took.gpu_memory_bytes,
             attempts: took.attempts.count,
             episodes,
-            weights_sha256,
+            weights_sha256: None,
             files: Vec::new(),
-        };
-        let finished = self.store.finish(cell.job.kind(), manifest.clone());
-        finished.map_err(|error| error.to_string())?;
-        Ok(manifest)
+        }
     }
 }
 
@@ -250,6 +273,12 @@ fn executed_otherwise(
     if let Some(steps) = execution.query_every_steps {
         recipe.query_every_steps = steps;
     }
+    link_files(from, to)?;
+    super::files::write_json(&to.join("trocar.json"), &recipe)
+}
+
+/// Links every file in the checkpoint `from` into the new folder `to`, but for `trocar.json`.
+fn link_files(from: &Path, to: &Path) -> Result<(), StudyError> {
     let failed = |error: std::io::Error| StudyError::io(to, error);
     fs::create_dir_all(to).map_err(failed)?;
     let whole = from
@@ -262,7 +291,7 @@ fn executed_otherwise(
             std::os::unix::fs::symlink(entry.path(), link).map_err(failed)?;
         }
     }
-    super::files::write_json(&to.join("trocar.json"), &recipe)
+    Ok(())
 }
 
 fn rename(from: &Path, to: &Path) -> Result<(), StudyError> {

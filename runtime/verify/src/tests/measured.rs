@@ -1,4 +1,4 @@
-//! Measured arms that are where they were not told to be.
+//! Measured arms away from their commands.
 
 use hal::{ArmError, ArmState, JointVector, TimeNs};
 
@@ -22,7 +22,7 @@ fn with_floor() -> Scene {
     scene
 }
 
-/// An arm that is told to stay at home and is measured so much deeper, tick after tick.
+/// An arm that is commanded to stay at home and is measured so much deeper, tick after tick.
 fn measured_deeper(scene: &Scene, deeper_m: &[f64]) -> Stream {
     let mut stream = scene.stream();
     for (tick, &deeper_m) in (0..).zip(deeper_m) {

@@ -7,7 +7,7 @@ use crate::differences::AXES;
 
 const TICKS: u32 = 200;
 
-/// What an honest sweep of `axis` is told: p = way (u - sin(2 pi u) / 2 pi), with its derivatives.
+/// The commands of an honest sweep of `axis`: p = way (u - sin(2 pi u) / 2 pi), with its derivatives.
 fn sweep(axis: usize, way: f64) -> Vec<Told> {
     let seconds = f64::from(TICKS) * 1e-3;
     (0..TICKS + 5)

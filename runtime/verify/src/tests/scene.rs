@@ -107,7 +107,7 @@ impl Scene {
         Stream::new(&self.control(), &self.safety()).unwrap()
     }
 
-    /// What one arm breaks that is told to be at these places, tick after tick.
+    /// What one arm breaks that is commanded to these places, tick after tick.
     pub(super) fn broken_by(&self, places: &[[f64; AXES]]) -> Vec<String> {
         let mut stream = self.stream();
         for (place, tick) in places.iter().zip(0..) {
@@ -120,7 +120,7 @@ impl Scene {
 
 /// The limits of setpoints that were broken, each once, in order.
 ///
-/// Arms of tests are measured where they are told to be, and are told no rates: what that breaks is left to `measured` and `rates`.
+/// Arms of tests are measured at their commanded places, and their commands have no rates: what that breaks is left to `measured` and `rates`.
 pub(super) fn broken(stream: &Stream) -> Vec<String> {
     let mut names = all_broken(stream);
     names.retain(|name| !name.starts_with("measured.") && !name.ends_with("_mismatch"));
@@ -151,7 +151,7 @@ pub(super) struct Told {
 }
 
 impl Told {
-    /// An arm with torque that is where it is told to be.
+    /// An arm with torque at its commanded place.
     pub(super) fn powered(tick: u64, place: &[f64; AXES]) -> Self {
         let [joints @ .., jaw_position] = *place;
         let (stamp, position) = (TimeNs::from_tick(tick), JointVector::from(joints));

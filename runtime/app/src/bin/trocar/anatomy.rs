@@ -221,7 +221,29 @@ fn phantom(args: &PhantomArgs) -> Done {
 fn build(args: &BuildArgs) -> Done {
     let labels = ("the labels", Some(args.labels.as_path()));
     outputs::check(&[("--json", args.json.as_deref())], &[labels])?;
-    let options = Options {
+    let options = build_options(args);
+    let bar = console::bar("read");
+    bar.set_length(Stage::ALL.len() as u64);
+    let mut watch = |stage: Stage| {
+        bar.set_message(stage.name());
+        bar.inc(1);
+    };
+    let made = anatomy::build(&args.labels, &args.groups, &args.out, &options, &mut watch)?;
+    bar.finish_and_clear();
+    tell(&made);
+    if let Some(path) = &args.json {
+        write_json(path, &made)?;
+    }
+    let mut groups = made.report.groups.iter();
+    if let Some(open) = groups.find(|group| !group.measures.watertight) {
+        let text = format!("the surface of {} is not closed", open.name);
+        return Err(SessionError::output(&args.out, text));
+    }
+    Ok(true)
+}
+
+fn build_options(args: &BuildArgs) -> Options {
+    Options {
         max_error_mm: args.max_error_mm,
         surface: match args.surface {
             Surface::Nets => Method::Nets,
@@ -231,34 +253,7 @@ fn build(args: &BuildArgs) -> Done {
         measure_stages: args.measure_stages,
         tetrahedra_mm: args.tetrahedra,
         ..Options::default()
-    };
-    let bar = console::bar("read");
-    bar.set_length(Stage::ALL.len() as u64);
-    let made = anatomy::build(
-        &args.labels,
-        &args.groups,
-        &args.out,
-        &options,
-        &mut |stage| {
-            bar.set_message(stage.name());
-            bar.inc(1);
-        },
-    )?;
-    bar.finish_and_clear();
-    tell(&made);
-    if let Some(path) = &args.json {
-        write_json(path, &made)?;
     }
-    if let Some(open) = made
-        .report
-        .groups
-        .iter()
-        .find(|group| !group.measures.watertight)
-    {
-        let text = format!("the surface of {} is not closed", open.name);
-        return Err(SessionError::output(&args.out, text));
-    }
-    Ok(true)
 }
 
 fn tell(made: &anatomy::Built) {

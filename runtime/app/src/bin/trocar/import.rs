@@ -164,14 +164,8 @@ fn check_json(json: Option<&Path>, source: &Path) -> Result<(), SessionError> {
     Ok(())
 }
 
-fn import_lerobot(args: &LerobotArgs) -> Done {
-    let source = ("the demonstrations", Some(args.source.as_path()));
-    let out = ("--out", Some(args.out.as_path()));
-    check_json(args.json.as_deref(), &args.source)?;
-    outputs::check(&[("--json", args.json.as_deref())], &[source, out])?;
-    let mapping = Mapping::read(&args.mapping).map_err(|error| unknown(&args.mapping, error))?;
-    outputs::new_folder("--out", &args.out)?;
-    let request = ImportRequest {
+fn import_request(args: &LerobotArgs, mapping: Mapping) -> ImportRequest {
+    ImportRequest {
         mapping,
         source: args.source.clone(),
         out: args.out.clone(),
@@ -180,7 +174,17 @@ fn import_lerobot(args: &LerobotArgs) -> Done {
         fps: args.fps,
         size: args.resize,
         video: args.video.map(codec),
-    };
+    }
+}
+
+fn import_lerobot(args: &LerobotArgs) -> Done {
+    let source = ("the demonstrations", Some(args.source.as_path()));
+    let out = ("--out", Some(args.out.as_path()));
+    check_json(args.json.as_deref(), &args.source)?;
+    outputs::check(&[("--json", args.json.as_deref())], &[source, out])?;
+    let mapping = Mapping::read(&args.mapping).map_err(|error| unknown(&args.mapping, error))?;
+    outputs::new_folder("--out", &args.out)?;
+    let request = import_request(args, mapping);
     let summary = console::with_episodes(|done| import_mapped(&request, done))?;
     let left_out = match summary.left_out {
         0 => String::new(),
@@ -209,14 +213,8 @@ fn unknown(name: &str, error: ConfigError) -> SessionError {
     error.into()
 }
 
-fn import_hdf5(args: &ImportArgs, layout: Layout) -> Done {
-    let source = ("the demonstrations", Some(args.source.as_path()));
-    let out = ("--out", Some(args.out.as_path()));
-    let dh = ("--dh", args.dh.as_deref());
-    check_json(args.json.as_deref(), &args.source)?;
-    outputs::check(&[("--json", args.json.as_deref())], &[source, out, dh])?;
-    outputs::new_folder("--out", &args.out)?;
-    let options = ImportOptions {
+fn import_options(args: &ImportArgs, layout: Layout) -> Result<ImportOptions, SessionError> {
+    Ok(ImportOptions {
         layout,
         source: args.source.clone(),
         out: args.out.clone(),
@@ -232,7 +230,17 @@ fn import_hdf5(args: &ImportArgs, layout: Layout) -> Done {
             Some(path) => read_chain(path).map_err(SessionError::from)?,
         },
         video: args.video.map(codec),
-    };
+    })
+}
+
+fn import_hdf5(args: &ImportArgs, layout: Layout) -> Done {
+    let source = ("the demonstrations", Some(args.source.as_path()));
+    let out = ("--out", Some(args.out.as_path()));
+    let dh = ("--dh", args.dh.as_deref());
+    check_json(args.json.as_deref(), &args.source)?;
+    outputs::check(&[("--json", args.json.as_deref())], &[source, out, dh])?;
+    outputs::new_folder("--out", &args.out)?;
+    let options = import_options(args, layout)?;
     let summary = console::with_episodes(|done| import_demonstrations(&options, done))?;
     console::result(&format!(
         "{} episodes, {} frames in {}",

@@ -11,6 +11,26 @@ pub(crate) fn provenance(notes: &Notes) -> Provenance {
     };
     let listed = options["varied"].as_array().into_iter().flatten();
     let varied: Vec<&str> = listed.filter_map(Value::as_str).collect();
+    let seed = options["seed"].as_u64().unwrap_or_default();
+    Provenance {
+        summary: "Demonstrations of a scripted expert on simulated patient-side manipulators of the dVRK."
+            .to_owned(),
+        data_type: "Digital simulation".to_owned(),
+        method: "Programmatic / state machine".to_owned(),
+        operators: "none: a scripted expert acts on the state of the simulation; successful episodes are kept"
+            .to_owned(),
+        recoveries: "disturbed on purpose (an offset path, a missed grasp, a slip, a nudge); the action is the expert's, which corrects it"
+            .to_owned(),
+        varied: dimensions(&varied),
+        variation: variation(seed, &varied),
+        robot: "dVRK Classic patient-side manipulator, simulated: dynamics, drives, contact, rendering".to_owned(),
+        synchronization: "One simulation clock: a row's joints, poses and pictures are of the same instant, and rows are equally spaced."
+            .to_owned(),
+    }
+}
+
+/// What the dataset card calls that which differs between episodes.
+fn dimensions(varied: &[&str]) -> Vec<&'static str> {
     let mut dimensions = vec!["Spatial layout"];
     for (ours, theirs) in [
         ("views", "Camera position / angle"),
@@ -21,24 +41,15 @@ pub(crate) fn provenance(notes: &Notes) -> Provenance {
             dimensions.push(theirs);
         }
     }
-    let seed = options["seed"].as_u64().unwrap_or_default();
+    dimensions
+}
+
+fn variation(seed: u64, varied: &[&str]) -> String {
     let more = match varied.is_empty() {
         true => String::new(),
         false => format!("; drawn anew for each: {}", varied.join(", ")),
     };
-    Provenance {
-        summary: "Demonstrations of a scripted expert on simulated patient-side manipulators of the dVRK."
-            .to_owned(),
-        data_type: "Digital simulation".to_owned(),
-        method: "Programmatic / state machine".to_owned(),
-        operators: "none: a scripted expert acts on the state of the simulation; successful episodes are kept"
-            .to_owned(),
-        recoveries: "disturbed on purpose (an offset path, a missed grasp, a slip, a nudge); the action is the expert's, which corrects it"
-            .to_owned(),
-        varied: dimensions,
-        variation: format!("Objects lie elsewhere in each episode, drawn from its seed ({seed} and following){more}."),
-        robot: "dVRK Classic patient-side manipulator, simulated: dynamics, drives, contact, rendering".to_owned(),
-        synchronization: "One simulation clock: a row's joints, poses and pictures are of the same instant, and rows are equally spaced."
-            .to_owned(),
-    }
+    format!(
+        "Objects lie elsewhere in each episode, drawn from its seed ({seed} and following){more}."
+    )
 }

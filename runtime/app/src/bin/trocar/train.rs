@@ -142,6 +142,14 @@ impl Progress {
         }
     }
 
+    fn reading(&mut self, frames: usize, of: usize, seconds: f64) {
+        if self.bar.is_hidden() {
+            let line = format!("{frames} of {of} frames decoded; {seconds:.0} s");
+            console::note(&line);
+        }
+        self.at(frames as u64, of as u64);
+    }
+
     fn news(&mut self, news: &TrainingNews<'_>) {
         match *news {
             TrainingNews::Note(line) => self.bar.suspend(|| console::note(line)),
@@ -150,13 +158,7 @@ impl Progress {
                 frames,
                 of,
                 seconds,
-            } => {
-                if self.bar.is_hidden() {
-                    let line = format!("{frames} of {of} frames decoded; {seconds:.0} s");
-                    console::note(&line);
-                }
-                self.at(frames as u64, of as u64);
-            }
+            } => self.reading(frames, of, seconds),
             TrainingNews::Standing(standing) => self.standing(standing),
             TrainingNews::Evaluating {
                 step,

@@ -47,7 +47,7 @@ pub(super) fn check_nodes(can: &CanConfig, arms: usize) -> Result<(), SessionErr
     Ok(())
 }
 
-/// What is told to those outside.
+/// What those outside are notified of.
 pub(super) trait Listener {
     /// A drive has stopped and rests.
     fn stopped(&mut self, stop: Stop);
@@ -74,7 +74,7 @@ fn at_home() -> ArmState {
 
 /// Arms, their world, and what is injected.
 pub(super) struct Bench {
-    /// What the motors turn; without one each goes where it is told.
+    /// What the motors turn; without one each follows its set-point.
     simulation: Option<Simulation>,
     arms: Vec<Coupling>,
     watches: Vec<StopWatch>,
@@ -167,6 +167,12 @@ impl Bench {
         Ok(())
     }
 
+    fn turn_freely(&self, network: &mut Network<Terminal>) {
+        for coupling in &self.arms {
+            coupling.turn_freely(network);
+        }
+    }
+
     /// A millisecond of what the motors turn.
     fn turn_motors(
         &mut self,
@@ -174,9 +180,7 @@ impl Bench {
         network: &mut Network<Terminal>,
     ) -> Result<(), SessionError> {
         let Some(simulation) = &mut self.simulation else {
-            for coupling in &self.arms {
-                coupling.turn_freely(network);
-            }
+            self.turn_freely(network);
             return Ok(());
         };
         for (index, coupling) in self.arms.iter().enumerate() {
@@ -190,18 +194,7 @@ impl Bench {
         } else {
             simulation.wait();
         }
-        for (index, coupling) in self.arms.iter().enumerate() {
-            let Some(mut arm) = simulation.arm(index) else {
-                continue;
-            };
-            let feedback = coupling.feedback(&arm.read(at)?);
-            for (axis, feedback) in coupling.plan().axes.iter().zip(feedback) {
-                if let Some(motor) = network.motor(axis.node) {
-                    motor.feedback = feedback;
-                }
-            }
-        }
-        Ok(())
+        feed_back(&self.arms, simulation, at, network)
     }
 
     /// What the world knows of itself, if there is one.
@@ -229,23 +222,9 @@ impl Bench {
         let Self { arms, injector, .. } = self;
         let mut off = None;
         let mut outside = |what, network: &mut Network<Terminal>| match what {
-            Outside::Slack(node, slack) => {
-                for arm in arms.iter_mut() {
-                    let axis = arm.plan().axes.iter().position(|axis| axis.node == node);
-                    if let Some(axis) = axis {
-                        arm.set_slack(axis, slack);
-                    }
-                }
-            }
+            Outside::Slack(node, slack) => set_slack(arms, node, slack),
             Outside::BusOff(node) => off = network.line_of(node),
-            Outside::ForeignMaster(node) => {
-                let led = |arm: &&Coupling| arm.plan().axes.iter().any(|axis| axis.node == node);
-                let (arm, line) = (arms.iter().find(led), network.line_of(node));
-                if let (Some(arm), Some(line)) = (arm, line) {
-                    let sync = Frame::new(arm.plan().sync_id, Payload::EMPTY);
-                    network.intrude(line, sync);
-                }
-            }
+            Outside::ForeignMaster(node) => send_sync(arms, node, network),
         };
         let begun = injector.turn(since_ns, network, &mut outside);
         if let Some(line) = off {
@@ -268,5 +247,40 @@ impl Bench {
     /// How busy each line has been, ns and frames.
     pub(super) fn busy(network: &Network<Terminal>, lines: u8) -> Vec<(u64, u64)> {
         (0..lines).map(|line| network.wire(line).busy()).collect()
+    }
+}
+
+/// Gives the drives the feedback of their arms.
+fn feed_back(
+    arms: &[Coupling],
+    simulation: &mut Simulation,
+    at: TimeNs,
+    network: &mut Network<Terminal>,
+) -> Result<(), SessionError> {
+    for (index, coupling) in arms.iter().enumerate() {
+        if let Some(mut arm) = simulation.arm(index) {
+            coupling.feed_back(&arm.read(at)?, network);
+        }
+    }
+    Ok(())
+}
+
+/// Slackens the axis that `node` turns, or tightens it.
+fn set_slack(arms: &mut [Coupling], node: NodeId, slack: bool) {
+    for arm in arms {
+        let axis = arm.plan().axes.iter().position(|axis| axis.node == node);
+        if let Some(axis) = axis {
+            arm.set_slack(axis, slack);
+        }
+    }
+}
+
+/// Sends the SYNC of the arm that `node` belongs to, as a second master does.
+fn send_sync(arms: &[Coupling], node: NodeId, network: &mut Network<Terminal>) {
+    let led = |arm: &&Coupling| arm.plan().axes.iter().any(|axis| axis.node == node);
+    let (arm, line) = (arms.iter().find(led), network.line_of(node));
+    if let (Some(arm), Some(line)) = (arm, line) {
+        let sync = Frame::new(arm.plan().sync_id, Payload::EMPTY);
+        network.intrude(line, sync);
     }
 }

@@ -95,7 +95,7 @@ pub(super) struct BusEnd {
     pub(super) lost: u64,
 }
 
-/// Hands on what the bench tells.
+/// Hands on what the bench reports.
 struct Messenger {
     clock: MonotonicClock,
     shown: MailboxWriter<Shown>,
@@ -108,7 +108,7 @@ struct Messenger {
 
 impl Messenger {
     fn notify(&mut self, what: Notice) {
-        // Full only if nobody reads, and then nobody wants to know.
+        // Full only without a reader, to whom it could matter.
         let _gone = self.notices.push(what);
     }
 
@@ -130,7 +130,7 @@ impl Messenger {
 impl Listener for Messenger {
     fn stopped(&mut self, stop: Stop) {
         let last_word = stop.sync.unwrap_or(stop.at).0;
-        // A SYNC that came while this process stood still was heard after it.
+        // A SYNC that came while this process stood still was received after it.
         let start = TimeNs(last_word.saturating_sub(TURN_NS_MAX));
         let stalled_ns = self.stalls.since(start);
         self.notify(Notice::Stopped(Stop { stalled_ns, ..stop }));
@@ -168,7 +168,7 @@ impl Drop for EndsAll<'_> {
 }
 
 impl BusThread<'_> {
-    /// Runs until it is told to stop.
+    /// Runs until it is stopped.
     pub(super) fn run(self) -> Result<BusEnd, SessionError> {
         let _ends = EndsAll(self.stop);
         // Not strict: without it the drives are only less punctual.

@@ -4,11 +4,30 @@
 //! torque of its own: an axis without it is limp, as the plant has it, whatever the others do.
 
 use hal::tail::TAIL_AXES;
-use hal::{ArmState, JOINT_COUNT};
+use hal::{ArmState, JOINT_COUNT, JointVector};
 use trocar_canopen::master::{ArmPlan, Space};
 use trocar_drives::node::{Demand, Feedback};
 use trocar_drives::{Network, Terminal};
 use trocar_world::plant::{AxisVector, DriveSetpoint, actuator_efforts};
+
+/// The share of the greatest torque that a drive may use; none without torque.
+fn torque_share(demand: &Demand) -> f64 {
+    if demand.torque {
+        demand.torque_per_mille_max / 1000.0
+    } else {
+        0.0
+    }
+}
+
+fn with_jaw(joints: &JointVector, jaw: f64) -> AxisVector {
+    core::array::from_fn(|axis| {
+        if axis < JOINT_COUNT {
+            joints[axis]
+        } else {
+            jaw
+        }
+    })
+}
 
 /// One arm's drives and its plant.
 #[derive(Clone, Debug)]
@@ -50,13 +69,7 @@ impl Coupling {
         let units = |counts: AxisVector| -> AxisVector {
             core::array::from_fn(|axis| counts[axis] / counts_per_unit[axis])
         };
-        let shares = axes(|demand| {
-            if demand.torque {
-                demand.torque_per_mille_max / 1000.0
-            } else {
-                0.0
-            }
-        });
+        let shares = axes(torque_share);
         DriveSetpoint {
             actuators: self.plan.space == Space::Actuator,
             position: units(axes(|demand| demand.position_counts)),
@@ -85,17 +98,18 @@ impl Coupling {
         }
     }
 
+    /// Gives the drives the feedback of an arm in `state`.
+    pub(super) fn feed_back(&self, state: &ArmState, network: &mut Network<Terminal>) {
+        let feedback = self.feedback(state);
+        for (axis, feedback) in self.plan.axes.iter().zip(feedback) {
+            if let Some(motor) = network.motor(axis.node) {
+                motor.feedback = feedback;
+            }
+        }
+    }
+
     /// What the drives' encoders and current sensors say of an arm in `state`.
     pub(super) fn feedback(&self, state: &ArmState) -> [Feedback; TAIL_AXES] {
-        let with_jaw = |joints: &hal::JointVector, jaw: f64| -> AxisVector {
-            core::array::from_fn(|axis| {
-                if axis < JOINT_COUNT {
-                    joints[axis]
-                } else {
-                    jaw
-                }
-            })
-        };
         let space = self.plan.space;
         let position = space.from_joints(&with_jaw(&state.position, state.jaw_position));
         let velocity = space.from_joints(&with_jaw(&state.velocity, state.jaw_velocity));

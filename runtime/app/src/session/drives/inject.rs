@@ -97,10 +97,17 @@ impl Meddling {
 pub(super) enum Outside {
     /// The axis of this node is limp, or not any more.
     Slack(NodeId, bool),
-    /// The bus that this node is on tells everybody that their controllers are off.
+    /// The bus that this node is on reports that the controllers of all its nodes are off.
     BusOff(NodeId),
     /// Another node sends the SYNC of the arm that this node belongs to.
     ForeignMaster(NodeId),
+}
+
+impl InjectedFault {
+    fn is_over(&self, since_ns: u64) -> bool {
+        let end_ns = self.for_ns.map(|for_ns| self.at_ns + for_ns);
+        end_ns.is_some_and(|end_ns| since_ns >= end_ns)
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -152,7 +159,6 @@ impl Injector {
         let mut begun = None;
         for place in 0..self.faults.len() {
             let (fault, stage) = &mut self.faults[place];
-            let end_ns = fault.for_ns.map(|for_ns| fault.at_ns + for_ns);
             let fault = fault.clone();
             match stage {
                 Stage::Waiting if since_ns >= fault.at_ns => {
@@ -160,7 +166,7 @@ impl Injector {
                     begun = Some(place);
                     self.begin(&fault, network, outside);
                 }
-                Stage::Active if end_ns.is_some_and(|end_ns| since_ns >= end_ns) => {
+                Stage::Active if fault.is_over(since_ns) => {
                     *stage = Stage::Over;
                     self.end(&fault, network, outside);
                 }

@@ -64,7 +64,7 @@ pub const DEFAULT_TOPICS: &str = "drives";
 pub enum Moved<'a> {
     /// The arms of a task, in its world.
     Task(&'a Plan),
-    /// So many arms, each motor by itself: they stand in for real drives, and nobody shows a scene.
+    /// So many arms, each motor by itself: they stand in for real drives, without a scene.
     Arms(usize),
 }
 
@@ -211,7 +211,7 @@ fn attend(
     Ok(())
 }
 
-/// What pages are told of the drives, if there is a console.
+/// News of the drives for pages, if there is a console.
 fn show_page(
     moved: Moved<'_>,
     can: &CanConfig,
@@ -263,7 +263,7 @@ fn nodes(can: &CanConfig, arms: usize) -> String {
     arms.collect::<Vec<_>>().join(", ")
 }
 
-/// Says what the bus thread tells.
+/// Says what the bus thread reports.
 struct Teller<'a> {
     notices: Consumer<Notice>,
     has_world: bool,
@@ -277,32 +277,40 @@ struct Teller<'a> {
 }
 
 impl Teller<'_> {
+    /// Says what is said at once; keeps a stop for the others of its kind.
+    fn take(&mut self, notice: Notice, say: &mut dyn FnMut(&str)) -> Result<(), SessionError> {
+        match notice {
+            Notice::Begun(at) => {
+                let begins = if self.has_world {
+                    ": the episode begins"
+                } else {
+                    ""
+                };
+                let seconds = at.seconds();
+                say(&format!("all drives are enabled at {seconds:.3} s{begins}"));
+            }
+            Notice::Injected(place) => {
+                if let Some(fault) = self.faults.get(place) {
+                    say(&format!("fault: {fault}"));
+                }
+            }
+            Notice::BusOff(line) => self.off.send(line)?,
+            Notice::Stopped(stop) => self.gather(stop),
+        }
+        Ok(())
+    }
+
+    fn gather(&mut self, stop: Stop) {
+        if self.fresh.is_empty() {
+            self.first = self.clock.now();
+        }
+        self.fresh.push(stop);
+    }
+
     /// Says what is to be said now, or all of it if this is the end.
     fn turn(&mut self, end: bool, say: &mut dyn FnMut(&str)) -> Result<(), SessionError> {
         while let Ok(notice) = self.notices.pop() {
-            match notice {
-                Notice::Begun(at) => say(&format!(
-                    "all drives are enabled at {:.3} s{}",
-                    at.seconds(),
-                    if self.has_world {
-                        ": the episode begins"
-                    } else {
-                        ""
-                    }
-                )),
-                Notice::Injected(place) => {
-                    if let Some(fault) = self.faults.get(place) {
-                        say(&format!("fault: {fault}"));
-                    }
-                }
-                Notice::BusOff(line) => self.off.send(line)?,
-                Notice::Stopped(stop) => {
-                    if self.fresh.is_empty() {
-                        self.first = self.clock.now();
-                    }
-                    self.fresh.push(stop);
-                }
-            }
+            self.take(notice, say)?;
         }
         let due = self.clock.now().since(self.first) > GATHER_NS;
         if due || end {
@@ -315,7 +323,7 @@ impl Teller<'_> {
     }
 }
 
-fn sum_up(moved: Moved<'_>, names: &[String], end: &BusEnd, stops: &[Stop]) -> DrivesSummary {
+fn bus_summaries(names: &[String], end: &BusEnd) -> Vec<BusSummary> {
     let elapsed_ns = end.now.0.max(1);
     let buses = names.iter().zip(&end.busy);
     #[expect(clippy::cast_precision_loss, reason = "a share of a run's time")]
@@ -324,6 +332,10 @@ fn sum_up(moved: Moved<'_>, names: &[String], end: &BusEnd, stops: &[Stop]) -> D
         frames: *frames,
         busy_share: *busy_ns as f64 / elapsed_ns as f64,
     });
+    buses.collect()
+}
+
+fn sum_up(moved: Moved<'_>, names: &[String], end: &BusEnd, stops: &[Stop]) -> DrivesSummary {
     let outcome = end.world.as_ref().map(|world| world.outcome);
     let task = match moved {
         Moved::Task(plan) => Some(plan.setup.task_name.clone()),
@@ -342,7 +354,7 @@ fn sum_up(moved: Moved<'_>, names: &[String], end: &BusEnd, stops: &[Stop]) -> D
             None => "not begun".to_owned(),
             Some(outcome) => outcome.to_string(),
         }),
-        buses: buses.collect(),
+        buses: bus_summaries(names, end),
         frames_lost: end.lost,
         stops: stops.iter().map(StopSummary::from).collect(),
     }

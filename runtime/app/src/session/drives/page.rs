@@ -1,4 +1,4 @@
-//! What a page of the console is told of the drives.
+//! News of the drives for the pages of the console.
 
 use std::collections::VecDeque;
 
@@ -68,7 +68,7 @@ struct AxisNews {
     nmt: &'static str,
     state: &'static str,
     mode: &'static str,
-    /// What it tells, if it is in trouble.
+    /// The error that it reports, if there is one.
     error: Option<String>,
     unit: &'static str,
     position: Option<f64>,
@@ -87,7 +87,7 @@ struct BusNews<'a> {
 }
 
 impl DrivesPage {
-    /// Of the drives that `seen` tells of, whose plans have these spaces, on buses with these interfaces.
+    /// Of the drives that `seen` reports, whose plans have these spaces, on buses with these interfaces.
     pub(super) fn new(
         console: Console,
         seen: MailboxReader<Seen>,
@@ -137,7 +137,7 @@ impl DrivesPage {
         self.console.tell(&news);
     }
 
-    fn news(&self, seen: &Seen) -> News<'_> {
+    fn arms_news(&self, seen: &Seen) -> Vec<ArmNews> {
         let arms = ARM_NAMES.into_iter().zip(&self.spaces).zip(&seen.axes);
         let arms = arms.filter_map(|((name, space), axes)| {
             let space = (*space)?;
@@ -148,6 +148,10 @@ impl DrivesPage {
                 axes: axes.collect(),
             })
         });
+        arms.collect()
+    }
+
+    fn news(&self, seen: &Seen) -> News<'_> {
         let buses = self.buses.all.iter().zip(&seen.busy).zip(&self.loads);
         let buses = buses.map(|((bus, (_, frames)), load)| BusNews {
             interface: &bus.name,
@@ -163,7 +167,7 @@ impl DrivesPage {
             episode_s: begun.map(|since_ns| TimeNs(since_ns).seconds()),
             stalled_s: TimeNs(seen.stalled_ns).seconds(),
             frames_lost: seen.lost,
-            arms: arms.collect(),
+            arms: self.arms_news(seen),
             buses: buses.collect(),
             happened: &self.lines,
         }
@@ -258,7 +262,7 @@ fn mode_name(mode: i8) -> &'static str {
 
 #[cfg(test)]
 impl DrivesPage {
-    /// What a page is told of `seen`, after the `lines`.
+    /// A page's news of `seen`, after the `lines`.
     pub(super) fn told(&mut self, seen: &Seen, lines: &[&str]) -> serde_json::Value {
         self.take_loads(seen);
         lines.iter().for_each(|line| self.note(line));

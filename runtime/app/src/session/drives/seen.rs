@@ -21,7 +21,7 @@ pub(super) struct AxisSeen {
     pub(super) power: PowerState,
     /// 6061h.
     pub(super) mode: i8,
-    /// The error that it tells, if it does.
+    /// The error that it reports, if it does.
     pub(super) error: Option<ErrorCode>,
     /// Where the axis is, and where the drive wants it if it has torque.
     pub(super) position: f64,

@@ -22,7 +22,7 @@ const REST_NS: u64 = 10_000_000;
 /// Why a drive stopped following.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StopCause {
-    /// It told an error.
+    /// It reported an error.
     Error(ErrorCode),
     /// Its master commanded a quick stop.
     QuickStop,
@@ -62,7 +62,7 @@ pub struct Stop {
     pub cause: StopCause,
     /// When it left off following.
     pub at: TimeNs,
-    /// The last SYNC that it heard before.
+    /// The last SYNC that it received before.
     pub sync: Option<TimeNs>,
     /// The last instant at which the axis moved, once it rests; the last SYNC if it did not move then.
     pub rest: Option<TimeNs>,
@@ -216,26 +216,31 @@ pub(super) fn lines(stops: &[Stop]) -> Vec<String> {
             continue;
         }
         let group: Vec<&Stop> = stops.iter().filter(alike).collect();
-        let nodes: Vec<String> = group.iter().map(|stop| stop.node.to_string()).collect();
-        let arm = ARM_NAMES[stop.arm];
-        let plural = if group.len() == 1 { "node" } else { "nodes" };
-        let mut line = format!(
-            "{arm}: {plural} {} stopped at {:.3} s: {}",
-            nodes.join(" "),
-            stop.at.seconds(),
-            stop.cause
-        );
-        let after = group.iter().filter_map(|stop| stop.after_sync_ns());
-        if let Some((at_ns, rest_ns)) = after.max_by_key(|(_, rest_ns)| *rest_ns) {
-            line += &format!(
-                "; stopped {:.1} ms and at rest {:.1} ms after the last SYNC",
-                TimeNs(at_ns).seconds() * 1e3,
-                TimeNs(rest_ns).seconds() * 1e3
-            );
-        }
-        lines.push(line);
+        lines.push(line(stop, &group));
     }
     lines
+}
+
+/// The stops of `group`, of which `stop` is the first, in a line.
+fn line(stop: &Stop, group: &[&Stop]) -> String {
+    let nodes: Vec<String> = group.iter().map(|stop| stop.node.to_string()).collect();
+    let arm = ARM_NAMES[stop.arm];
+    let plural = if group.len() == 1 { "node" } else { "nodes" };
+    let mut line = format!(
+        "{arm}: {plural} {} stopped at {:.3} s: {}",
+        nodes.join(" "),
+        stop.at.seconds(),
+        stop.cause
+    );
+    let after = group.iter().filter_map(|stop| stop.after_sync_ns());
+    if let Some((at_ns, rest_ns)) = after.max_by_key(|(_, rest_ns)| *rest_ns) {
+        line += &format!(
+            "; stopped {:.1} ms and at rest {:.1} ms after the last SYNC",
+            TimeNs(at_ns).seconds() * 1e3,
+            TimeNs(rest_ns).seconds() * 1e3
+        );
+    }
+    line
 }
 
 #[cfg(test)]

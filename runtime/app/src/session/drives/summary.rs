@@ -28,7 +28,7 @@ pub struct StopSummary {
     pub node: u8,
     /// Why, in words.
     pub cause: String,
-    /// The error code that it told, if it did.
+    /// The error code that it reported, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub code: Option<u16>,
     /// When it left off following, s.

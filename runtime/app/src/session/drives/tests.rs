@@ -24,7 +24,7 @@ use trocar_control::{AnyController, OperatorEvent, TickInput};
 
 const MS_NS: u64 = 1_000_000;
 
-/// What the bench told.
+/// What the bench reported.
 #[derive(Debug, Default)]
 struct Notes {
     stops: Vec<Stop>,

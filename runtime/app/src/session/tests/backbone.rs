@@ -143,7 +143,6 @@ fn a_policy_of_lerobot_s_kind_is_kept_whole_and_to_the_bit() {
     let recipe = loaded.recipe.unwrap();
     let rates = ["lr", "lr_backbone"].map(|name| recipe.training["options"][name].as_f64());
     assert_eq!(rates, [Some(1e-4), Some(1e-5)]);
-    fs::remove_dir_all(&folder.0).unwrap();
 }
 
 #[test]

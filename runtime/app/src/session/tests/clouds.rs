@@ -84,7 +84,6 @@ fn diffusion_policy_from_depth_repeats_itself() {
         assert!(replayed.identical, "{replayed:?}");
     }
     assert_eq!(hashes[0], hashes[1]);
-    fs::remove_dir_all(&folder.0).unwrap();
 }
 
 #[test]
@@ -95,5 +94,4 @@ fn a_recording_without_depth_is_refused_with_what_to_do() {
     let error = train_simple(&data, &out).unwrap_err();
     assert!(error.is_bad_input());
     assert!(error.to_string().contains("record with --depth"), "{error}");
-    fs::remove_dir_all(&folder.0).unwrap();
 }

@@ -56,7 +56,6 @@ fn attempts_that_fail_are_kept_apart() {
         assert_eq!(note["seed"], attempt.seed);
         assert_eq!(episode.len, attempt.steps);
     }
-    fs::remove_dir_all(&folder.0).unwrap();
 }
 
 /// Neither a recording that goes on nor a folder that is in use.
@@ -78,5 +77,4 @@ fn failures_want_a_recording_from_its_start_and_a_new_folder() {
     assert!(refused(true, "failed").contains("not with --resume"));
     fs::create_dir_all(folder.0.join("used/mine")).unwrap();
     assert!(refused(false, "used").contains("not an empty folder"));
-    fs::remove_dir_all(&folder.0).unwrap();
 }

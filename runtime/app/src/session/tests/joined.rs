@@ -60,7 +60,6 @@ fn two_datasets_train_as_one_with_their_episodes() {
     assert_eq!((a.episodes, b.episodes), (1, 1));
     assert_eq!(a.frames + b.frames, two.frames);
     assert!(b.folder.ends_with("/b") && b.task == "needle-lift", "{b:?}");
-    fs::remove_dir_all(&folder.0).unwrap();
 }
 
 /// A network that sees depth learns from no dataset without it, and is told which that is.
@@ -84,7 +83,6 @@ fn a_dataset_without_depth_does_not_join_one_with_it() {
     ] {
         assert!(message.contains(part), "no {part:?} in: {message}");
     }
-    fs::remove_dir_all(&folder.0).unwrap();
 }
 
 /// A state of a training from before there could be several datasets names one.

@@ -88,7 +88,6 @@ fn resumed_recording_equals_an_unbroken_one() {
     assert_eq!((again.episodes, again.episodes_before), (3, 3));
     assert!(again.attempts.is_empty() && !again.interrupted);
     assert!(files(&cut.out) == whole_files, "nothing is touched");
-    fs::remove_dir_all(&folder.0).unwrap();
 }
 
 /// Why `options` can't go on.
@@ -153,7 +152,6 @@ fn a_recording_goes_on_with_its_own_options_only() {
     other(&|it| it.video = Some(video), "--video none, now h264");
     scenes_that_are_refused(&made);
     assert!(files(&folder.0) == before, "nothing is touched");
-    fs::remove_dir_all(&folder.0).unwrap();
 }
 
 /// What of the scene must be as it was.
@@ -245,5 +243,4 @@ fn dataset_without_its_options_is_not_resumed() {
         message.contains("trocar_recording.json is missing"),
         "{message}"
     );
-    fs::remove_dir_all(&folder.0).unwrap();
 }

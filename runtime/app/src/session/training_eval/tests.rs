@@ -1,14 +1,7 @@
 //! Which weights are kept, and when they are asked for.
 
 use super::*;
-
-fn scratch(name: &str) -> PathBuf {
-    let folder =
-        std::env::temp_dir().join(format!("trocar-evaluations-{}-{name}", std::process::id()));
-    let _absent = fs::remove_dir_all(&folder);
-    fs::create_dir_all(&folder).unwrap();
-    folder
-}
+use crate::session::scratch::Scratch;
 
 fn evaluations(out: &Path) -> Evaluations {
     Evaluations {
@@ -50,7 +43,7 @@ fn kept(out: &Path) -> String {
 
 #[test]
 fn the_best_weights_are_kept_and_of_equals_the_later() {
-    let out = scratch("best");
+    let out = Scratch::folder("evaluations-best");
     let mut evaluations = evaluations(&out);
     for (step, successes, best) in [
         (100, 2, "100"),
@@ -72,12 +65,11 @@ fn the_best_weights_are_kept_and_of_equals_the_later() {
     assert!(table.contains("\n200,10,7,0.7,0.39"), "{table}");
     let best = evaluations.best().unwrap();
     assert_eq!((best.step, best.successes), (400, 7));
-    fs::remove_dir_all(&out).unwrap();
 }
 
 #[test]
 fn a_training_that_goes_on_knows_the_best_of_before() {
-    let out = scratch("resumed");
+    let out = Scratch::folder("evaluations-resumed");
     settle(&mut evaluations(&out), 100, 8);
     // Cut off while the best were replaced.
     fs::rename(out.join(BEST), out.join(OLD)).unwrap();
@@ -93,12 +85,11 @@ fn a_training_that_goes_on_knows_the_best_of_before() {
         let error = best_in(&out).unwrap_err();
         assert!(error.is_bad_input() && error.to_string().contains(RESULT_FILE));
     }
-    fs::remove_dir_all(&out).unwrap();
 }
 
 #[test]
 fn evaluations_are_due_every_so_many_steps_and_at_the_end() {
-    let out = scratch("due");
+    let out = Scratch::folder("evaluations-due");
     let mut evaluations = evaluations(&out);
     let due: Vec<u64> = (1..=250)
         .filter(|&step| evaluations.wants(step, 250))
@@ -112,5 +103,4 @@ fn evaluations_are_due_every_so_many_steps_and_at_the_end() {
     );
     settle(&mut evaluations, 100, 1);
     assert!(!evaluations.wants(100, 250), "once");
-    fs::remove_dir_all(&out).unwrap();
 }

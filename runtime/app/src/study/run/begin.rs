@@ -132,33 +132,38 @@ impl Runner<'_> {
         let gpu = self.pool.gpu_name(grant);
         let folder = self.workshop.store.cell(cell.job.kind(), &cell.address);
         let executable = &self.workshop.executable;
-        match Running::start(executable, &arguments, gpu, &lock, &folder.join("log.txt")) {
+        let log = folder.join("log.txt");
+        let running = match Running::start(executable, &arguments, gpu, &lock, &log) {
+            Ok(running) => running,
             Err(error) => {
                 self.fail(index, &format!("{}: {error}", executable.display()));
-                Begun::Settled
+                return Begun::Settled;
             }
-            Ok(running) => {
-                let how = if begin == Begin::Resumed {
-                    "goes on"
-                } else {
-                    "begun"
-                };
-                let on = gpu.map_or_else(String::new, |gpu| format!(" on GPU {gpu}"));
-                self.status[index] = Status::Running;
-                self.running.push(Work {
-                    cell: index,
-                    running,
-                    grant: grant.clone(),
-                    lock,
-                    input,
-                    begun: self.clock.now(),
-                    before,
-                    command: texts(arguments.as_slice()),
-                    begin,
-                });
-                self.tell(index, &format!("{how}{on}"));
-                Begun::Running
-            }
-        }
+        };
+        let begun = begun_text(begin, gpu);
+        self.status[index] = Status::Running;
+        self.running.push(Work {
+            cell: index,
+            running,
+            grant: grant.clone(),
+            lock,
+            input,
+            begun: self.clock.now(),
+            before,
+            command: texts(arguments.as_slice()),
+            begin,
+        });
+        self.tell(index, &begun);
+        Begun::Running
     }
+}
+
+/// How a cell was begun, and on which GPU if it has one.
+fn begun_text(begin: Begin, gpu: Option<&str>) -> String {
+    let how = match begin {
+        Begin::Resumed => "goes on",
+        Begin::New => "begun",
+    };
+    let on = gpu.map_or_else(String::new, |gpu| format!(" on GPU {gpu}"));
+    format!("{how}{on}")
 }

@@ -1,5 +1,7 @@
 //! Takes care of cells whose verbs have ended.
 
+use std::fs::File;
+
 use hal::TimeNs;
 
 use super::super::StudyError;
@@ -8,6 +10,8 @@ use super::super::child::Ended;
 use super::super::commands::Begin;
 use super::super::estimate::{Class, in_words};
 use super::super::job::{Job, Kind};
+use super::super::plan::Cell;
+use super::super::schedule::Grant;
 use super::super::store::Attempts;
 use super::super::work::Took;
 use super::{Runner, Status, Work};
@@ -43,60 +47,77 @@ impl Runner<'_> {
 
     fn ended(&mut self, job: Work, ended: Ended) -> Result<(), StudyError> {
         let cell = self.cells[job.cell];
+        let attempts = self.keep_time(&job)?;
+        let gpu = self.gpu_of(&job.grant);
+        let gpu_memory_bytes = self.memory.take(job.running.id());
+        self.pool.give(&job.grant);
+        let success = ended.success;
+        if success {
+            let took = Took {
+                command: job.command,
+                gpu,
+                attempts,
+                ended: Some(ended),
+                gpu_memory_bytes,
+            };
+            self.end(job.cell, took);
+        } else {
+            self.not_done(job.cell, job.begin, &ended)?;
+        }
+        self.release(cell, &job.lock, job.input.filter(|_| success))
+    }
+
+    /// Adds the time that `job` ran to that of its cell's earlier attempts.
+    fn keep_time(&self, job: &Work) -> Result<Attempts, StudyError> {
+        let cell = self.cells[job.cell];
         let seconds = TimeNs(self.clock.now().since(job.begun)).seconds();
         let attempts = Attempts {
             seconds: job.before.seconds + seconds,
             ..job.before
         };
-        self.workshop
-            .store
-            .keep_attempts(cell.job.kind(), &cell.address, attempts)?;
-        let gpu = self.pool.gpu_name(&job.grant).map(|gpu| {
-            self.gpu_names
-                .get(gpu)
-                .cloned()
-                .unwrap_or_else(|| gpu.to_owned())
-        });
-        let gpu_memory_bytes = self.memory.take(job.running.id());
-        self.pool.give(&job.grant);
-        let (success, outcome) = (ended.success, ended.outcome.clone());
+        let store = self.workshop.store;
+        store.keep_attempts(cell.job.kind(), &cell.address, attempts)?;
+        Ok(attempts)
+    }
+
+    /// What the GPU of `grant` is called.
+    fn gpu_of(&self, grant: &Grant) -> Option<String> {
+        let gpu = self.pool.gpu_name(grant)?;
+        let name = self.gpu_names.get(gpu).cloned();
+        Some(name.unwrap_or_else(|| gpu.to_owned()))
+    }
+
+    /// A verb has failed or was interrupted.
+    fn not_done(&mut self, index: usize, begin: Begin, ended: &Ended) -> Result<(), StudyError> {
+        let (cell, outcome) = (self.cells[index], &ended.outcome);
         // A recording that failed at its job, as on a full disk, is kept; one that is refused is of no use.
         let useless = match cell.job.kind() {
             Kind::Training => true,
             Kind::Recording => ended.code == Some(BAD_INPUT),
             Kind::Evaluation => false,
         };
-        if success {
-            let command = job.command;
-            self.end(
-                job.cell,
-                Took {
-                    command,
-                    gpu,
-                    attempts,
-                    ended: Some(ended),
-                    gpu_memory_bytes,
-                },
-            );
-        } else if self.outcome.interrupted {
-            self.status[job.cell] = Status::Waiting;
-            self.tell(job.cell, "interrupted");
-        } else if job.begin == Begin::Resumed && useless {
-            self.tell(
-                job.cell,
-                &format!("can't go on from what is there and begins anew: {outcome}"),
-            );
+        if self.outcome.interrupted {
+            self.status[index] = Status::Waiting;
+            self.tell(index, "interrupted");
+        } else if begin == Begin::Resumed && useless {
+            let reason = format!("can't go on from what is there and begins anew: {outcome}");
+            self.tell(index, &reason);
             self.workshop.forget_product(cell)?;
-            self.status[job.cell] = Status::Waiting;
+            self.status[index] = Status::Waiting;
         } else {
-            self.fail(job.cell, &outcome);
+            self.fail(index, outcome);
         }
+        Ok(())
+    }
+
+    /// Gives up the lock of a cell, and that of the `input` of a training that is done.
+    fn release(&mut self, cell: &Cell, lock: &File, input: Option<File>) -> Result<(), StudyError> {
         self.workshop
             .store
             .put_back(cell.job.kind(), &cell.address)?;
         // Not only closed: a child of the child may still hold it.
-        let _unlocked = job.lock.unlock();
-        if let (Job::Training(training), Some(input), true) = (&cell.job, job.input, success) {
+        let _unlocked = lock.unlock();
+        if let (Job::Training(training), Some(input)) = (&cell.job, input) {
             let _unlocked = input.unlock();
             self.drop_recording(&training.recording)?;
         }
@@ -143,7 +164,7 @@ impl Runner<'_> {
 
     pub(super) fn fail(&mut self, index: usize, reason: &str) {
         let cell = self.cells[index];
-        // Whatever is wrong with the folder is told when it is used next.
+        // Whatever is wrong with the folder is reported when it is used next.
         let _kept = self.workshop.store.put_back(cell.job.kind(), &cell.address);
         self.status[index] = Status::Failed;
         self.tell(index, &format!("failed: {reason}"));

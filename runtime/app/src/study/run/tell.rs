@@ -17,19 +17,25 @@ impl Runner<'_> {
         )
     }
 
+    /// How long a cell has run, s; none of one that has ended.
+    fn ran_s(&self, index: usize) -> Option<f64> {
+        match self.status[index] {
+            Status::Waiting | Status::Elsewhere(_) => Some(0.0),
+            Status::Running => {
+                let job = self.running.iter().find(|job| job.cell == index);
+                let ran_ns = job.map_or(0, |job| self.clock.now().since(job.begun));
+                Some(TimeNs(ran_ns).seconds())
+            }
+            Status::Done | Status::Failed | Status::Skipped => None,
+        }
+    }
+
     /// The time that is left, in words.
     pub(super) fn left(&self) -> String {
-        let now = self.clock.now();
         let mut left = Vec::new();
         for (index, cell) in self.cells.iter().enumerate() {
-            let ran = match self.status[index] {
-                Status::Waiting | Status::Elsewhere(_) => 0.0,
-                Status::Running => self
-                    .running
-                    .iter()
-                    .find(|job| job.cell == index)
-                    .map_or(0.0, |job| TimeNs(now.since(job.begun)).seconds()),
-                Status::Done | Status::Failed | Status::Skipped => continue,
+            let Some(ran) = self.ran_s(index) else {
+                continue;
             };
             let need = Need::of(&cell.job, self.workshop.file, self.machine.cores);
             #[expect(clippy::cast_precision_loss, reason = "a few hundred at most")]

@@ -13,6 +13,7 @@ use super::super::materials::Materials;
 use super::super::store::{State, Store};
 use super::super::{expand, work::Workshop};
 use super::*;
+use crate::session::scratch::Scratch;
 
 /// A training with the recording that it reads and the evaluation that needs it.
 const STUDY: &str = "title = \"One training\"\n\
@@ -57,10 +58,8 @@ esac
 "#;
 
 /// A folder for the test `name`, with the script in it.
-fn folder(name: &str) -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("trocar-run-{}-{name}", std::process::id()));
-    let _absent = fs::remove_dir_all(&folder);
-    fs::create_dir_all(&folder).unwrap();
+fn folder(name: &str) -> Scratch {
+    let folder = Scratch::folder(&format!("run-{name}"));
     let (text, verbs) = (folder.join("verbs.txt"), folder.join("verbs"));
     fs::write(&text, VERBS).unwrap();
     // Written by another process: a file that this one has open for writing, in any thread's child, can't be executed.
