@@ -73,7 +73,7 @@ test-anatomy-short: setup
 
 # The same of a larger one, and foreign stages, a DICOM series, label volumes of others; the crate's tests. Not part of `make test`.
 test-anatomy: setup
-	@.ci/setup-anatomy.sh
+	@.ci/setup-anatomy.sh others
 	cargo test --locked -p trocar-anatomy
 	cargo build --locked -p trocar
 	TROCAR=$(abspath $(DEBUG_TROCAR)) target/anatomy/bin/python -B tests/scripts/anatomy.py target/scratch/anatomy

@@ -51,5 +51,5 @@ mkdir -p target
 exec 9>target/anatomy-lock
 flock -n 9 || { say 'waiting for another set-up to finish'; flock 9; }
 install_programs
-get_others
+[ "${1:-}" != others ] || get_others
 say 'ready'

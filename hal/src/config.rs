@@ -157,7 +157,8 @@ impl Source {
         })
     }
 
-    /// The same text with the lines `more`, a table's, in that table or else at its end, if there is nothing at the dotted `key`.
+    /// The same text with the lines `more`, a table's, in that table or else at its end, if there is nothing at the dotted `key`; lines of
+    /// no table come before all.
     #[must_use]
     pub fn or_with(self, key: &str, more: &str) -> Self {
         let document = DeTable::parse(&self.text).ok();
@@ -172,14 +173,22 @@ impl Source {
         if found {
             return self;
         }
+        if !more.starts_with('[') {
+            let text = format!("{more}{}", self.text);
+            return Self { text, ..self };
+        }
         let (table, keys) = more.split_once('\n').unwrap_or((more, ""));
         let mut lines = self.text.split_inclusive('\n');
         let mut end = 0;
         let has_table = lines.any(|line| {
             end += line.len();
-            line.trim() == table
+            line.split('#').next().unwrap_or(line).trim() == table
         });
         let mut text = self.text;
+        if has_table && !text[..end].ends_with('\n') {
+            text.push('\n');
+            end += 1;
+        }
         if has_table {
             text.insert_str(end, keys);
         } else {

@@ -144,7 +144,7 @@ class Watcher(threading.Thread):
 
     def rate(self) -> float:
         """Pictures a second, without the first second's; 0 if there were too few."""
-        came = [at for at in self.came if at > self.came[0] + 1]
+        came = [at for at in self.came if at > self.came[0] + 1] if self.came else []
         return (len(came) - 1) / (came[-1] - came[0]) if len(came) > 1 else 0.0
 
 

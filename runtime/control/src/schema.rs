@@ -16,11 +16,12 @@ pub(super) struct ControlFile {
 }
 
 #[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 pub(super) struct PolicyTable {
     pub(super) restarts: u32,
     pub(super) backoff_s: f64,
     pub(super) return_s: f64,
+    #[serde(default)]
     pub(super) frozen_s: f64,
 }
 

@@ -246,6 +246,10 @@ pub fn write(patient: &Patient, groups: &Groups, folder: &Path) -> Result<(), Bu
     if !patient.tetrahedra.is_empty() {
         let text = tetrahedra_usda(groups, &patient.tetrahedra);
         files.push(("tetrahedra.usda", text.into_bytes()));
+    } else if folder.join("tetrahedra.usda").exists() {
+        // Those of other meshes.
+        let path = folder.join("tetrahedra.usda");
+        fs::remove_file(&path).map_err(unwritable(&path))?;
     }
     for (name, bytes) in files {
         let path = folder.join(name);

@@ -281,9 +281,10 @@ impl Axis {
         Some(f64::from(newest.position) + ahead)
     }
 
-    /// Whether its brake may still be closing, for which its drive stays switched on.
+    /// Whether its brake may still be closing, for which its drive, which has been switched on without operation since `idle`, or has
+    /// just become so, stays switched on.
     pub(super) fn brakes(&self, now: TimeNs, brake_ns: u64) -> bool {
-        self.idle.is_some_and(|idle| now.since(idle) < brake_ns)
+        now.since(self.idle.unwrap_or(now)) < brake_ns
     }
 
     /// How far it is from the set-point that it was following, counts.

@@ -303,6 +303,34 @@ fn take_down_passes_each_state_and_waits_for_the_brake() {
     }
 }
 
+/// A controller that disables its arm in the middle of a run gives brakes their time too, though set-points leave before the SYNC.
+#[test]
+fn a_disabled_arm_waits_for_its_brakes() {
+    let mut plan = plan(1, 2 * MS);
+    plan.brake_ns = 150 * MS;
+    let mut bench = Bench::on(&plan);
+    let _ = bench.cycles(50, 0.001);
+    bench.enabled = false;
+    let mut states: Vec<(PowerState, u64)> = Vec::new();
+    for _ in 0..150 {
+        let _ = bench.cycle(0.0);
+        let state = bench.net().node(node(2)).unwrap().power_state();
+        match states.last_mut() {
+            Some((last, cycles)) if *last == state => *cycles += 1,
+            _ => states.push((state, 1)),
+        }
+    }
+    let order: Vec<PowerState> = states.iter().map(|(state, _)| *state).collect();
+    let down = [
+        PowerState::OperationEnabled,
+        PowerState::SwitchedOn,
+        PowerState::ReadyToSwitchOn,
+        PowerState::SwitchOnDisabled,
+    ];
+    assert_eq!(order, down, "{states:?}");
+    assert!((75..85).contains(&states[1].1), "{states:?}");
+}
+
 /// A node that fell silent is not waited for and the others go down.
 #[test]
 fn take_down_does_not_wait_for_a_silent_node() {

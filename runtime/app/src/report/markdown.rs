@@ -105,7 +105,6 @@ fn inlines(line: &[Inline]) -> String {
     text
 }
 
-/// The longest row of back quotes.
 /// `svg` with colours of its own: alone, a plot has no page whose colours it could take.
 fn coloured(svg: &str) -> String {
     svg.replacen(
@@ -115,6 +114,7 @@ fn coloured(svg: &str) -> String {
     )
 }
 
+/// The longest row of back quotes.
 fn longest_run(text: &str) -> usize {
     text.split(|c| c != '`').map(str::len).max().unwrap_or(0)
 }

@@ -87,7 +87,9 @@ impl Bus {
         Self {
             name: name.to_string_lossy().into_owned(),
             folder: folder.join("statistics"),
-            is_virtual: !folder.join("device").exists(),
+            // A serial adapter has no device either.
+            is_virtual: !folder.join("device").exists()
+                && !name.to_string_lossy().starts_with("slcan"),
             counted: VecDeque::new(),
             errors: 0,
         }

@@ -47,7 +47,7 @@ impl ConfigFile {
 }
 
 /// Keys that files may leave out, and what stands for them until they are set.
-const OPTIONAL: [(ConfigFile, &[&str], &str); 5] = [
+const OPTIONAL: [(ConfigFile, &[&str], &str); 6] = [
     (
         ConfigFile::Scene,
         &["scene.patient", "scene.organ"],
@@ -67,6 +67,11 @@ const OPTIONAL: [(ConfigFile, &[&str], &str); 5] = [
         ConfigFile::Control,
         &["policy.frozen_s"],
         "[policy]\nfrozen_s = 0.0\n",
+    ),
+    (
+        ConfigFile::Realtime,
+        &["overruns_per_s_max"],
+        "overruns_per_s_max = 0\n",
     ),
     (
         ConfigFile::Control,
@@ -209,6 +214,18 @@ mod tests {
         );
         assert_eq!(set(before), after);
         assert_eq!(set(&after.replace("0.02", "0.03")), after);
+        assert_eq!(
+            set("a = 1\n[gate] # of chunks"),
+            "a = 1\n[gate] # of chunks\nresume_m_max = 0.02\n"
+        );
+        // And one of no table.
+        let change = "realtime.overruns_per_s_max=5".parse().unwrap();
+        let source = Source::embedded("realtime.toml", "[control]\na = 1\n");
+        let real_time = Changes(vec![change]).apply(ConfigFile::Realtime, source);
+        assert_eq!(
+            real_time.unwrap().text(),
+            "overruns_per_s_max = 5\n[control]\na = 1\n"
+        );
     }
 
     #[test]

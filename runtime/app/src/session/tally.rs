@@ -10,8 +10,10 @@ use super::summary::{
 };
 use crate::histogram::Histogram;
 use hal::PerArm;
-use trocar_control::{AnyController, CommandHash, Fault, MeasuredClearance, QpOutcome, TickReport};
-use trocar_log::TickRecord;
+use trocar_control::{
+    AnyController, CommandHash, Fault, MeasuredClearance, OperatorEvent, QpOutcome, TickReport,
+};
+use trocar_log::{ArmRecord, TickRecord};
 
 /// What a run adds up to.
 #[derive(Debug, Default)]
@@ -43,7 +45,11 @@ impl Tally {
             let gate = arm.report.gate;
             self.refused += u64::from(gate.is_some_and(|verdict| !verdict.is_accepted()));
         }
-        if self.faults.is_none() && record.has_fault() {
+        let cleared = |arm: &ArmRecord| arm.operator == Some(OperatorEvent::Clear);
+        if !record.has_fault() && record.arms.iter().any(cleared) {
+            // What the operator has cleared did not end the run.
+            self.faults = None;
+        } else if self.faults.is_none() && record.has_fault() {
             self.faults = Some(record.arms.map(|arm| arm.report.fault));
         }
         // One problem for all arms; one that follows nothing has no part in it.

@@ -57,18 +57,22 @@ pub(super) fn surfaces(
     }
 }
 
-/// Volumes put right after decimation, by moves of at most `most_mm`; sheets that would pass each other stay where they are.
+/// Volumes put right after decimation, by moves of at most `most_mm`; sheets that would pass each other stay where they are, and all do if
+/// that is not enough.
 pub(super) fn settle(complex: &mut Complex, targets: &[f64], most_mm: f64) {
     let before = complex.positions.clone();
     balance(complex, targets, most_mm, |_, to| to);
     for _ in 0..BACK_MAX {
         let crossing = crossing_vertices(complex);
         if crossing.is_empty() {
-            break;
+            return;
         }
         for v in crossing.into_iter().map(|v| v as usize) {
             complex.positions[v] = before[v];
         }
+    }
+    if !crossing_vertices(complex).is_empty() {
+        complex.positions = before;
     }
 }
 

@@ -95,7 +95,12 @@ impl Cycle {
             };
         }
         match self.goal {
-            Goal::Disabled if self.axes[axis].brakes(now, self.plan.brake_ns) => Command::SwitchOn,
+            Goal::Disabled
+                if state == PowerState::SwitchedOn
+                    && self.axes[axis].brakes(now, self.plan.brake_ns) =>
+            {
+                Command::SwitchOn
+            }
             Goal::Disabled => state.towards_disabled(),
             Goal::Enabled => match state.towards_enabled() {
                 Some(Command::EnableOperation) if !together => Command::SwitchOn,

@@ -76,7 +76,7 @@ fn kept(folder: &Path, topics: &str) -> io::Result<PathBuf> {
     let file = |end: &str| folder.join(format!("{topics}{end}.mcap"));
     let there = fs::metadata(file("")).map_or(0, |found| found.len());
     // One that came to no motion leaves the log of the one before, in which a fault may be.
-    let parts: &[&str] = if there > HEADER_BYTES {
+    let parts: &[&str] = if there > HEADER_BYTES || file(".earlier").exists() {
         &["", ".earlier"]
     } else {
         &[]

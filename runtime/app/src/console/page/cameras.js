@@ -4,6 +4,8 @@ const PLANES = ["colour", "depth", "ids"];
 
 /** Of so many pictures of a camera the run is told of one that it is shown. */
 const SHOWN_EVERY = 5;
+/** Longer than any display takes to its next frame, ms. */
+const FRAME_MS = 250;
 
 export class Cameras {
   #views = [];
@@ -85,11 +87,18 @@ export class Cameras {
     if (before) URL.revokeObjectURL(before);
   }
 
-  /** Tells the run that the picture of `seconds` is shown: its browser draws it in the frame that begins next. */
+  /**
+   * Tells the run that the picture of `seconds` is shown: its browser draws it in the frame that begins next. Where no frames begin (a hidden
+   * page, a headset) nothing is told, then or later.
+   */
   #shown(view, seconds) {
+    if (view.awaited) return;
+    view.awaited = true;
+    const asked = performance.now();
     requestAnimationFrame(() => {
+      view.awaited = false;
       const camera = this.#views.indexOf(view);
-      if (camera >= 0) this.#send({ shown: [camera, seconds] });
+      if (camera >= 0 && performance.now() - asked < FRAME_MS) this.#send({ shown: [camera, seconds] });
     });
   }
 

@@ -88,7 +88,8 @@ impl<R: Rig> ControlThread<R> {
                 continue;
             };
             let operator = match (tally.ticks(), done) {
-                (0, _) => Some(OperatorEvent::Enable),
+                (0, false) => Some(OperatorEvent::Enable),
+                (0, true) => None,
                 (_, true) => hold.end(REST_TICKS - rest_ticks <= RELEASE_TICKS),
                 (_, false) => hold.next(signals.held(), || self.operator.next()),
             };
@@ -103,8 +104,11 @@ impl<R: Rig> ControlThread<R> {
             if let Some(log) = &mut self.log {
                 log.tick(&record);
             }
-            if self.fault_ends_run && record.has_fault() {
-                signals.end_run();
+            if record.has_fault() {
+                hold.faulted(record.arms.count() > 1);
+                if self.fault_ends_run {
+                    signals.end_run();
+                }
             }
         }
         let counts = timing.end();

@@ -64,6 +64,11 @@ impl Hold {
         Some(asked)
     }
 
+    /// An arm has a fault: it is no longer paused, and the controller has paused the `others`, whom only the operator lets go on.
+    pub(super) fn faulted(&mut self, others: bool) {
+        (self.paused, self.held) = (others, false);
+    }
+
     /// What the controller is told next at the run's end: to come to rest, then, when it is time, to let the arms have no torque.
     pub(super) fn end(&mut self, releases: bool) -> Option<OperatorEvent> {
         let wanted = match (self.ending, releases) {
@@ -118,6 +123,21 @@ mod tests {
         expect(true, Some(Enable), Some(Enable));
         expect(false, None, Some(GoOn));
         expect(false, None, None);
+    }
+
+    /// The controller pauses an arm beside one with a fault: the end of the run's hold does not end that.
+    #[test]
+    fn beside_a_fault_only_the_operator_lets_arms_go_on() {
+        let mut hold = Hold::default();
+        assert_eq!(hold.next(true, || None), Some(Pause));
+        hold.faulted(true);
+        assert_eq!(hold.next(false, || None), None);
+        assert_eq!(hold.next(false, || Some(Resume)), Some(GoOn));
+        // An arm alone is paused no more after its fault.
+        assert_eq!(hold.next(false, || Some(Pause)), Some(Pause));
+        hold.faulted(false);
+        assert_eq!(hold.next(true, || None), Some(Pause));
+        assert_eq!(hold.next(false, || None), Some(GoOn));
     }
 
     /// Once each, and in order, however late it is.

@@ -81,7 +81,9 @@ impl LoopTiming {
 
     /// Counts a period that has begun; how many were skipped within the last second, if they are too many.
     pub(super) fn woke(&mut self, period: &Period) -> Option<u64> {
-        let recent = self.recent.add(period.now.0, period.skipped);
+        // What the thread took to start is no overrun of the loop.
+        let skipped = self.woke_ns.map_or(0, |_| period.skipped);
+        let recent = self.recent.add(period.now.0, skipped);
         self.skipped += period.skipped;
         self.wakes.record(period.late_ns);
         let woke_ns = period.now.0.saturating_add(period.late_ns);

@@ -164,8 +164,9 @@ impl Sight {
 
 /// A hash of pixels evenly from a whole frame, FNV-1a.
 fn sampled(colour: &[u8]) -> u64 {
-    // Odd, so that all channels are sampled.
-    let every = (colour.len() / SAMPLES) | 1;
+    // Neither a multiple of 2 nor of 3, so that all channels are sampled.
+    let odd = (colour.len() / SAMPLES) | 1;
+    let every = if odd.is_multiple_of(3) { odd + 2 } else { odd };
     let samples = colour.iter().step_by(every);
     samples.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
