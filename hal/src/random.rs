@@ -1,9 +1,9 @@
 //! Seeded random numbers: SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
 
-/// The 64-bit FNV-1a hash of `text` (Fowler, Noll and Vo): keeps names of streams apart.
+/// The 64-bit FNV-1a hash of `bytes` (Fowler, Noll and Vo): keeps names of streams, or pictures, apart.
 #[must_use]
-pub fn fnv_1a(text: &str) -> u64 {
-    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+pub fn fnv_1a(bytes: impl IntoIterator<Item = u8>) -> u64 {
+    bytes.into_iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     })
 }
@@ -24,7 +24,7 @@ impl SplitMix64 {
     /// A stream of its own for `name` under `seed` (FNV-1a of the name, exclusive-or the seed).
     #[must_use]
     pub fn named(name: &str, seed: u64) -> Self {
-        Self::new(fnv_1a(name) ^ seed)
+        Self::new(fnv_1a(name.bytes()) ^ seed)
     }
 
     /// The next 64 bits.

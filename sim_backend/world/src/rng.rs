@@ -26,7 +26,7 @@ impl Rng {
     #[must_use]
     pub fn stream(seed: u64, name: &str) -> Self {
         // The hash keeps names apart; the mixers behind it spread the bits.
-        Self::new(SplitMix64::new(seed).next_u64() ^ fnv_1a(name))
+        Self::new(SplitMix64::new(seed).next_u64() ^ fnv_1a(name.bytes()))
     }
 
     /// The next 64 random bits.

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use nalgebra::Point3;
 
 use super::extent;
-use super::usda::{list, prim, stiffness, vector};
+use super::usda::{list, prim, stage_head, stiffness, vector};
 use crate::groups::Groups;
 use crate::number::single;
 use crate::tetra::Tetrahedra;
@@ -65,22 +65,7 @@ fn tet_mesh(text: &mut String, groups: &Groups, filled: &Tetrahedra) {
 /// The text of a `.usda` with the tetrahedra of each group under `/Tetrahedra`, in the frame and unit of the meshes.
 #[must_use]
 pub fn tetrahedra_usda(groups: &Groups, all: &[Tetrahedra]) -> String {
-    let mut text = String::from(
-        r#"#usda 1.0
-(
-    defaultPrim = "Tetrahedra"
-    doc = "Made by trocar anatomy. Coordinates are the scan's: x right, y anterior, z superior."
-    kilogramsPerUnit = 1
-    metersPerUnit = 1
-    upAxis = "Z"
-)
-
-def Xform "Tetrahedra" (
-    kind = "component"
-)
-{
-"#,
-    );
+    let mut text = stage_head("Tetrahedra");
     for filled in all {
         tet_mesh(&mut text, groups, filled);
     }

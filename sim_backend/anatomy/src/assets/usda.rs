@@ -143,30 +143,34 @@ fn mesh(text: &mut String, asset: &Asset<'_>) {
     text.push_str("    }\n\n");
 }
 
-/// The text of a `.usda` with a prim a group under `/Patient`.
-///
-/// Each mesh is closed, its texture coordinates are a corner's own. Colliders are the triangles themselves, at rest; masses are by volume
-/// and density.
-#[must_use]
-pub fn usda(assets: &[Asset<'_>]) -> String {
-    let mut text = String::from(
+/// The beginning of a stage whose default prim is `name`, up to what is in that: metres, z up.
+pub(super) fn stage_head(name: &str) -> String {
+    format!(
         r#"#usda 1.0
 (
-    defaultPrim = "Patient"
+    defaultPrim = "{name}"
     doc = "Made by trocar anatomy. Coordinates are the scan's: x right, y anterior, z superior."
     kilogramsPerUnit = 1
     metersPerUnit = 1
     upAxis = "Z"
 )
 
-def Xform "Patient" (
+def Xform "{name}" (
     kind = "component"
 )
-{
-    def Scope "Materials"
-    {
-"#,
-    );
+{{
+"#
+    )
+}
+
+/// The text of a `.usda` with a prim a group under `/Patient`.
+///
+/// Each mesh is closed, its texture coordinates are a corner's own. Colliders are the triangles themselves, at rest; masses are by volume
+/// and density.
+#[must_use]
+pub fn usda(assets: &[Asset<'_>]) -> String {
+    let mut text = stage_head("Patient");
+    text.push_str("    def Scope \"Materials\"\n    {\n");
     for asset in assets {
         material(&mut text, asset);
     }

@@ -81,7 +81,7 @@ impl Criteria {
 
     fn with(mut self, criterion: Criterion) -> Self {
         let place = self.0.iter_mut().find(|place| place.is_none());
-        debug_assert!(place.is_some(), "{criterion:?} finds no room");
+        assert!(place.is_some(), "{criterion:?} finds no room");
         if let Some(place) = place {
             *place = Some(criterion);
         }

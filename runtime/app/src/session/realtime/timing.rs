@@ -83,16 +83,15 @@ impl LoopTiming {
     pub(super) fn woke(&mut self, period: &Period) -> Option<u64> {
         // What the thread took to start is no overrun of the loop.
         let skipped = self.woke_ns.map_or(0, |_| period.skipped);
-        let recent = self.recent.add(period.now.0, skipped);
         self.skipped += period.skipped;
         self.wakes.record(period.late_ns);
         let woke_ns = period.now.0.saturating_add(period.late_ns);
         if let Some(before) = self.woke_ns.replace(woke_ns) {
             self.periods.record(woke_ns.saturating_sub(before));
         }
-        self.limit
-            .is_some_and(|limit| recent > limit)
-            .then_some(recent)
+        let limit = self.limit?;
+        let recent = self.recent.add(period.now.0, skipped);
+        (recent > limit).then_some(recent)
     }
 
     /// Whole periods skipped so far.

@@ -4,6 +4,7 @@
 //! frames of now again, by itself or by another process in its place, and go on with the next answer.
 
 use hal::TimeNs;
+use hal::random::fnv_1a;
 use trocar_control::Supervision;
 use trocar_log::Level;
 
@@ -162,13 +163,10 @@ impl Sight {
     }
 }
 
-/// A hash of pixels evenly from a whole frame, FNV-1a.
+/// A hash of pixels evenly from a whole frame.
 fn sampled(colour: &[u8]) -> u64 {
     // Neither a multiple of 2 nor of 3, so that all channels are sampled.
     let odd = (colour.len() / SAMPLES) | 1;
     let every = if odd.is_multiple_of(3) { odd + 2 } else { odd };
-    let samples = colour.iter().step_by(every);
-    samples.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-        (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
-    })
+    fnv_1a(colour.iter().step_by(every).copied())
 }
