@@ -10,10 +10,8 @@ use super::summary::{
 };
 use crate::histogram::Histogram;
 use hal::PerArm;
-use trocar_control::{
-    AnyController, CommandHash, Fault, MeasuredClearance, OperatorEvent, QpOutcome, TickReport,
-};
-use trocar_log::{ArmRecord, TickRecord};
+use trocar_control::{AnyController, CommandHash, Fault, MeasuredClearance, QpOutcome, TickReport};
+use trocar_log::TickRecord;
 
 /// What a run adds up to.
 #[derive(Debug, Default)]
@@ -45,11 +43,10 @@ impl Tally {
             let gate = arm.report.gate;
             self.refused += u64::from(gate.is_some_and(|verdict| !verdict.is_accepted()));
         }
-        let cleared = |arm: &ArmRecord| arm.operator == Some(OperatorEvent::Clear);
-        if !record.has_fault() && record.arms.iter().any(cleared) {
-            // What the operator has cleared did not end the run.
+        if !record.has_fault() {
+            // A fault lasts until the operator clears it; one that was did not end the run.
             self.faults = None;
-        } else if self.faults.is_none() && record.has_fault() {
+        } else if self.faults.is_none() {
             self.faults = Some(record.arms.map(|arm| arm.report.fault));
         }
         // One problem for all arms; one that follows nothing has no part in it.

@@ -71,8 +71,13 @@ pub(super) fn settle(complex: &mut Complex, targets: &[f64], most_mm: f64) {
             complex.positions[v] = before[v];
         }
     }
+    if crossing_vertices(complex).is_empty() {
+        return;
+    }
+    let settled = core::mem::replace(&mut complex.positions, before);
+    // Sheets that had crossed before, as marching cubes' may, are no reason.
     if !crossing_vertices(complex).is_empty() {
-        complex.positions = before;
+        complex.positions = settled;
     }
 }
 
