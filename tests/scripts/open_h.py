@@ -8,7 +8,8 @@ Requirements: Python 3.10 to 3.12, ffmpeg, lerobot==0.3.3 'av<15' opencv-python-
         --converter OPEN_H/scripts/conversion/dvrk_zarr_to_lerobot.py [--demos FOLDER ...]
 
 OPEN_H is a checkout of open-h/open-h-embodiment (c64ed5e); none of its code is here. Two demonstrations of each task are recorded into the
-given folder, or datasets that were recorded before are taken (--demos); needle lift is recorded with disturbances. Of each:
+given folder, or datasets that were recorded before are taken (--demos); needle lift is recorded with disturbances, all others by both eyes of
+the endoscope, needle handover with attempts that fail for want of time. Of each:
 
   export      the validator must find no error, nor a warning
   load        LeRobotDataset 0.3.3 must give every row's state, action, instruction and task, and decode frames of every camera
@@ -92,11 +93,23 @@ def trocar(*arguments):
 
 
 def record(work, task):
+    """Two demonstrations, and those of the attempts that failed; None if none may."""
     wrists = "wrist_right,wrist_left" if task == "needle-handover" else "wrist"
-    more = ["--disturb", 0.6, "--vary", "views,light"] if task == "needle-lift" else []
-    out = work / f"demos-{task}"
+    more = ["--disturb", 0.6, "--vary", "views,light"] if task == "needle-lift" else ["--stereo"]
+    out, failed = work / f"demos-{task}", None
+    if task == "needle-handover":
+        failed = work / f"failed-{task}"
+        more += ["--failures", failed, "--set", f"scene.episode.time_limit_s={between_two_attempts(work, task)}"]
     trocar("record", "--task", task, "--episodes", 2, "--source", "expert", "--cameras", f"endoscope,{wrists}", *more, "--out", out)
-    return out
+    return out, failed
+
+
+def between_two_attempts(work, task):
+    """A time limit that some attempts of the expert keep and some don't, s."""
+    trials = work / f"trials-{task}.json"
+    trocar("eval", "--task", task, "--policy", "expert", "--trials", 4, "--seed", 0, "--json", trials)
+    seconds = sorted(episode["seconds"] for episode in json.loads(trials.read_text())["episodes"])
+    return round((seconds[1] + seconds[2]) / 2, 2)
 
 
 def ours(folder):
@@ -283,21 +296,30 @@ def train(folder, out):
     trocar("train", "--policy", "act", "--preset", "small", "--data", folder, "--out", out, "--steps", 3, "--batch", 1, "--device", "cpu")
 
 
-def judge(work, demos, validator, converter, with_training):
+def judge(work, recording, validator, converter, with_training):
+    demos, failed = recording
     name = demos.name
     recorded = ours(demos)
     meant = [recorded[index] for index in order(demos)]
+    lost = ours(failed) if failed else []
     exported = work / f"open-h-{name}"
-    trocar("export", "open-h", demos, "--out", exported)
+    trocar("export", "open-h", demos, *(["--failures", failed] if failed else []), "--out", exported)
     if validator:
         validate(validator, exported)
-    dataset, info, cameras = load(exported, meant)
-    trocar("import", "lerobot", exported, "--mapping", "open-h-dvrk", "--video", "h264", "--out", work / f"back-{name}")
-    compare(f"{name} -> open-h -> back", ours(work / f"back-{name}"), meant)
+    dataset, info, cameras = load(exported, meant + lost)
+    back = work / f"back-{name}"
+    trocar("import", "lerobot", exported, "--mapping", "open-h-dvrk", "--video", "h264", "--out", back)
+    compare(f"{name} -> open-h -> back", ours(back), meant)
+    if failed:
+        again = work / f"back-{failed.name}"
+        trocar("import", "lerobot", exported, "--mapping", "open-h-dvrk", "--split", "failure", "--video", "h264", "--out", again)
+        compare(f"{failed.name} -> open-h -> back", ours(again), lost)
+    # Failures come last; what follows is of the others.
+    info = info | {"total_episodes": len(meant)}
     raw_folders(work / f"raw-{name}", dataset, info, cameras)
     trocar("import", "lerobot", work / f"raw-{name}", "--mapping", "dvrk-raw", "--video", "h264", "--out", work / f"from-raw-{name}")
     compare(f"{name} -> raw folders -> back", ours(work / f"from-raw-{name}"), meant)
-    imported = [work / f"back-{name}", work / f"from-raw-{name}"]
+    imported = [back, work / f"from-raw-{name}"]
     if converter:
         imported.append(convert(converter, work, name, dataset, info, cameras, meant))
     for folder in imported if with_training else []:
@@ -315,9 +337,9 @@ def main():
     work = arguments.work.resolve()
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
-    demos = [folder.resolve() for folder in arguments.demos] or [record(work, task) for task in TASKS]
-    for index, folder in enumerate(demos):
-        judge(work, folder, arguments.validator, arguments.converter, arguments.train_all or index == 0)
+    demos = [(folder.resolve(), None) for folder in arguments.demos] or [record(work, task) for task in TASKS]
+    for index, recording in enumerate(demos):
+        judge(work, recording, arguments.validator, arguments.converter, arguments.train_all or index == 0)
     if failures:
         sys.exit(f"{len(failures)} failed: {'; '.join(failures)}")
     print("all good")

@@ -15,6 +15,7 @@ from safetensors.numpy import load_file
 from trocar.lerobot import CheckpointError, Features, ServedPolicy, convert
 from trocar.lerobot.__main__ import main
 from trocar.lerobot.adapter import area_average
+from trocar.lerobot.checkpoint import wants_conversion
 
 COMMITTED = Path(__file__).parents[3] / "config/policies"
 
@@ -138,6 +139,23 @@ def test_committed_policies_convert(committed: str, arms: int, stages: int, tmp_
     assert steps.index("trocar_area_average") == steps.index("normalizer_processor") - 1
     with pytest.raises(CheckpointError, match="is there already"):
         convert(COMMITTED / committed, out)
+
+
+@pytest.mark.parametrize(
+    ("backbone", "norm", "converted"),
+    [
+        ("resnet18", "frozen_batch_norm", False),
+        ("resnet18", "group_norm", True),
+        ("group_norm_resnet18", "group_norm", True),
+        ("resnet18_stages3", "frozen_batch_norm", True),
+    ],
+)
+def test_only_what_lerobots_class_lacks_is_converted(backbone: str, norm: str, converted: bool, tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text(json.dumps({"type": "act", "vision_backbone": backbone}))
+    assert not wants_conversion(tmp_path)
+    recipe = {"action_representation": "observation_relative", "variants": {"backbone_norm": norm}}
+    (tmp_path / "trocar.json").write_text(json.dumps(recipe))
+    assert wants_conversion(tmp_path) == converted
 
 
 def test_what_is_no_checkpoint_of_acts_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

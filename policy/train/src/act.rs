@@ -1,6 +1,6 @@
 //! Training of ACT from images.
 
-use tch::{Kind, TchError, Tensor};
+use tch::{Device, Kind, TchError, Tensor};
 
 use super::augment;
 use super::flat::{Back, Below};
@@ -17,6 +17,9 @@ use trocar_nets::checkpoint::FeatureStatistics;
 use trocar_nets::kernels::Kernels;
 use trocar_nets::normalise::ImageNormaliser;
 use trocar_nets::parameters::{ParameterError, ParameterSource};
+
+/// Frames whose images give a frozen batch normalisation its statistics, in a training from scratch.
+const STATISTICS_FRAMES: usize = 32;
 
 impl Network for Act {
     type Config = ActConfig;
@@ -63,8 +66,16 @@ impl Trainer {
             features: [&set.statistics.state, &set.statistics.action],
             statistics: &set.statistics,
         };
-        let fresh = self.fresh(config, options)?;
         let images = ImageNormaliser::imagenet(self.device)?;
+        let fresh = self.fresh(config, options, || {
+            let frames = spread(&set.trained, STATISTICS_FRAMES);
+            let (indices, sent) = (
+                index_tensor(&frames, self.device)?,
+                set.images.sent(&frames)?,
+            );
+            let bytes = set.images.batch(&indices, sent.as_ref())?;
+            images.apply(&bytes)?.f_to_device(Device::Cpu)
+        })?;
         let kernels = self.kernels(options, watch);
         let learner = |act| {
             Ok(Run {
@@ -98,6 +109,15 @@ impl Trainer {
             }
         }
     }
+}
+
+/// At most `count` of `frames`, evenly spread.
+fn spread(frames: &[usize], count: usize) -> Vec<usize> {
+    frames
+        .iter()
+        .copied()
+        .step_by(frames.len().div_ceil(count).max(1))
+        .collect()
 }
 
 /// The dataset must have the network's cameras, in the same order.

@@ -1,8 +1,9 @@
-//! What a network's backbone starts from: random numbers, weights that were trained elsewhere, or an earlier run's state.
+//! What a network's backbone starts from: random numbers (with statistics of the dataset's images, if its normalisation is
+//! frozen), weights that were trained elsewhere, or an earlier run's state.
 
 use std::collections::BTreeMap;
 
-use tch::Device;
+use tch::{Device, TchError, Tensor};
 
 use super::flat::FlatParameters;
 use super::{TrainError, TrainOptions, Trainer};
@@ -22,11 +23,12 @@ impl Trainer {
     }
 
     /// The network before its first step; of a run that goes on, with that run's statistics, which it takes in while it is
-    /// built.
+    /// built. `images` gives `(n, cameras, 3, height, width)`, normalised, on the CPU.
     pub(super) fn fresh(
         &self,
         config: &ActConfig,
         options: &TrainOptions,
+        images: impl FnOnce() -> Result<Tensor, TchError>,
     ) -> Result<Act, TrainError> {
         let source = ParameterSource::seeded(options.seed, Device::Cpu);
         let drawn = Act::new(config.clone(), source)?;
@@ -39,16 +41,25 @@ impl Trainer {
                 )),
             };
         }
+        let mut given = match (&self.backbone, &self.from) {
+            (Some(weights), _) => weights
+                .tensors()
+                .iter()
+                .map(|(key, it)| (key.clone(), it.shallow_clone()))
+                .collect(),
+            (None, Some(_)) => BTreeMap::new(),
+            (None, None) => drawn.backbone_statistics(&images()?)?,
+        };
         let mut tensors = BTreeMap::new();
         for (key, tensor) in drawn.parameters().iter() {
             let statistic =
                 key.starts_with(BACKBONE_PREFIX) && !drawn.parameters().is_trainable(key);
-            let given = self.backbone.as_ref().and_then(|it| it.tensors().get(key));
+            let given = given.remove(key);
             let start = match (&self.from, given) {
                 (Some(state), _) if statistic => {
                     state.tensor(&FlatParameters::name_of_fixed(key), tensor)?
                 }
-                (_, given) => given.unwrap_or(tensor).shallow_clone(),
+                (_, given) => given.unwrap_or_else(|| tensor.shallow_clone()),
             };
             tensors.insert(key.to_owned(), start);
         }

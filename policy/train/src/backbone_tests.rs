@@ -12,6 +12,7 @@ use super::tests::{config, dataset, options, recipe};
 use super::{Progress, TrainError, TrainOptions, TrainPrecision, Trainer};
 use trocar_nets::act::{Act, ActConfig, BackboneNorm};
 use trocar_nets::checkpoint::{self, BackboneWeights, SaveOptions};
+use trocar_nets::normalise::ImageNormaliser;
 use trocar_nets::parameters::ParameterSource;
 
 fn frozen() -> ActConfig {
@@ -118,6 +119,80 @@ fn it_starts_from_the_file_and_leaves_the_statistics_alone() {
     assert_eq!(loaded.act.config(), &frozen());
     for (key, tensor) in BackboneWeights::load(&folder).unwrap().tensors() {
         assert_eq!(parameters.get(key), Some(tensor), "{key}");
+    }
+}
+
+/// From scratch, statistics are those of the dataset's images: they are not the neutral ones, training leaves them alone, and a
+/// run that goes on has them from its state.
+#[test]
+fn from_scratch_the_statistics_are_those_of_the_images() {
+    let scratch = dataset("backbone-scratch");
+    // As large as the dataset's images.
+    let config = ActConfig {
+        image_height: 64,
+        image_width: 64,
+        ..frozen()
+    };
+    let options = four_steps(options());
+    check(
+        &scratch.folder,
+        &|state, watch| {
+            let trainer = super::resume_tests::trainer(state);
+            trainer.run(&config, &options, &scratch.dataset, watch)
+        },
+        |trained| (trained.network.parameters(), &trained.curve),
+    );
+    let _alone = super::resume_tests::alone();
+    let trainer = Trainer::new(Device::Cpu);
+    let mut quiet = |_: &Progress| ();
+    let trained = trainer.run(&config, &options, &scratch.dataset, &mut quiet);
+    let trained = trained.unwrap();
+    let kept = |name: &str| {
+        let key = format!("model.backbone.{name}");
+        trained.network.parameters().get(&key).unwrap().copy()
+    };
+    // All images of the dataset are fewer than are measured, so the first layer's can be said by hand.
+    let drawn = Act::new(
+        config.clone(),
+        ParameterSource::seeded(options.seed, Device::Cpu),
+    )
+    .unwrap();
+    let pixels: Vec<Tensor> = (0..scratch.dataset.len())
+        .map(|frame| {
+            let image = scratch.dataset.image_rgb(frame, 0).unwrap();
+            let bytes = Tensor::from_slice(image.as_raw());
+            let (width, height) = image.dimensions();
+            bytes.view([1, i64::from(height), i64::from(width), 3])
+        })
+        .collect();
+    let images = ImageNormaliser::imagenet(Device::Cpu).unwrap();
+    let images = images.apply(&Tensor::cat(&pixels, 0)).unwrap();
+    let stem = drawn
+        .parameters()
+        .get("model.backbone.conv1.weight")
+        .unwrap();
+    let convolved = images.conv2d::<&Tensor>(stem, None, [2, 2], [3, 3], [1, 1], 1);
+    let channels = convolved.transpose(0, 1).flatten(1, 3);
+    let close = |found: &Tensor, expected: &Tensor| {
+        let apart = (found - expected).abs().max().double_value(&[]);
+        assert!(
+            apart < 1e-4 * expected.abs().max().double_value(&[]),
+            "{apart}"
+        );
+    };
+    close(
+        &kept("bn1.running_mean"),
+        &channels.mean_dim(1, false, Kind::Float),
+    );
+    close(&kept("bn1.running_var"), &channels.var_dim(1, true, false));
+    // No layer keeps the neutral ones.
+    for key in ["layer1.1.bn2", "layer4.0.downsample.1", "layer4.1.bn2"] {
+        let variance = kept(&format!("{key}.running_var"));
+        assert!(variance.min().double_value(&[]) > 0.0, "{key}");
+        assert!(
+            (variance - 1.0).abs().min().double_value(&[]) > 0.0,
+            "{key}"
+        );
     }
 }
 

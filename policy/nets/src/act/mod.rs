@@ -131,6 +131,20 @@ impl Act {
         self.trunk.infer(&self.seen(&tokens), state)
     }
 
+    /// What frozen batch normalisation takes as its statistics in a training from scratch: mean and variance of each
+    /// normalisation of the backbone for `images` `(n, cameras, 3, height, width)`, normalised, on the network's device; by the
+    /// network's keys.
+    ///
+    /// # Errors
+    /// The network library's, if shapes do not fit.
+    pub fn backbone_statistics(
+        &self,
+        images: &Tensor,
+    ) -> Result<BTreeMap<String, Tensor>, TchError> {
+        let images = images.f_flatten(0, 1)?;
+        tch::no_grad(|| self.backbone.statistics(BACKBONE, &images))
+    }
+
     /// The chunk that training compares with the demonstration, and the latent's distribution.
     ///
     /// Without a variational encoder the latent is zero.

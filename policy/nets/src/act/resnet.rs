@@ -4,6 +4,7 @@
 pub(crate) mod by_hand;
 #[cfg(test)]
 mod by_hand_tests;
+mod statistics;
 #[cfg(test)]
 mod tests;
 
@@ -205,20 +206,29 @@ impl Conv {
         })
     }
 
+    /// `x` before it is normalised.
+    fn convolved(&self, x: &Tensor) -> Result<Tensor, TchError> {
+        self.convolved_with(x, &self.weight, None)
+    }
+
+    fn convolved_with(
+        &self,
+        x: &Tensor,
+        weight: &Tensor,
+        shift: Option<&Tensor>,
+    ) -> Result<Tensor, TchError> {
+        let (stride, padding) = ([self.stride; 2], [self.padding; 2]);
+        x.f_conv2d(weight, shift, stride, padding, [1, 1], 1)
+    }
+
     fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
-        let convolved = |weight: &Tensor, shift: Option<&Tensor>| {
-            let (stride, padding) = ([self.stride; 2], [self.padding; 2]);
-            x.f_conv2d(weight, shift, stride, padding, [1, 1], 1)
-        };
         match &self.norm {
             // An accelerator waits for memory, which the filters take less of than the images.
             Norm::Frozen { scale, shift } if x.device().is_cuda() => {
                 let weight = self.weight.f_mul(&scale.f_view([-1, 1, 1, 1])?)?;
-                convolved(&weight, Some(&shift.f_view([-1])?))
+                self.convolved_with(x, &weight, Some(&shift.f_view([-1])?))
             }
-            norm @ (Norm::Frozen { .. } | Norm::Group { .. }) => {
-                norm.forward(&convolved(&self.weight, None)?)
-            }
+            norm @ (Norm::Frozen { .. } | Norm::Group { .. }) => norm.forward(&self.convolved(x)?),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 use trocar_data::dataset::Dataset;
 use trocar_data::perception::CloudRecipe;
-use trocar_nets::act::{ActConfig, ActPreset, BackboneNorm};
+use trocar_nets::act::{ActConfig, ActPreset};
 use trocar_nets::checkpoint::Variants;
 use trocar_train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrecision, Trainer};
 
@@ -328,9 +328,10 @@ fn base_options(options: &TrainingOptions, preset: ActPreset) -> TrainOptions {
         base.augmentation
     };
     let base = as_wanted(options, base, augmentation);
-    match options.backbone {
-        BackboneNorm::FrozenBatchNorm => base.for_trained_backbone(),
-        BackboneNorm::GroupNorm => base,
+    if options.backbone_weights.is_some() {
+        base.for_trained_backbone()
+    } else {
+        base
     }
 }
 

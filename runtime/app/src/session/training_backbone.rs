@@ -15,14 +15,10 @@ pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {
         | (NetworkChoice::ActPc | NetworkChoice::Dp3, _, true) => {
             "--backbone: act-pc and dp3 have none; of act"
         }
-        (NetworkChoice::Act, BackboneNorm::FrozenBatchNorm, false) => {
-            "--backbone frozen_batch_norm: its statistics are not trained, so they must come from a backbone that was; name it \
-             with --backbone-weights"
-        }
         (NetworkChoice::Act, BackboneNorm::GroupNorm, true) => {
             "--backbone-weights: of --backbone frozen_batch_norm; group normalisation learns from scratch"
         }
-        (NetworkChoice::Act, BackboneNorm::FrozenBatchNorm, true)
+        (NetworkChoice::Act, BackboneNorm::FrozenBatchNorm, _)
         | (_, BackboneNorm::GroupNorm, false) => return Ok(()),
     };
     Err(SessionError::BadArgument(defect.to_owned()))

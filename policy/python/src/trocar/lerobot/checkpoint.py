@@ -45,12 +45,12 @@ def recipe_of(folder: Path) -> dict[str, Any] | None:
 
 
 def wants_conversion(folder: Path) -> bool:
-    """Whether LeRobot's own classes can't run the folder: its backbone is normalised in groups, or its actions are relative."""
+    """Whether LeRobot's own classes can't load the folder: its backbone is normalised in groups, or has three stages."""
     config = read_json(folder / "config.json")
     recipe = recipe_of(folder)
     if recipe is None or config.get("type") == POLICY_TYPE:
         return False
-    return _is_grouped(config, recipe) or recipe.get("action_representation") == "observation_relative"
+    return _is_grouped(config, recipe) or _has_three_stages(config)
 
 
 def check_served(folder: Path) -> None:
@@ -103,13 +103,17 @@ def _is_grouped(config: dict[str, Any], recipe: dict[str, Any]) -> bool:
     return norm == "group_norm" or str(config.get("vision_backbone", "")).startswith("group_norm")
 
 
+def _has_three_stages(config: dict[str, Any]) -> bool:
+    return str(config.get("vision_backbone", "")).endswith("_stages3")
+
+
 def _config(config: dict[str, Any], recipe: dict[str, Any], arms: int, meant: str) -> dict[str, Any]:
     query_every = min(int(recipe["query_every_steps"]), int(config["chunk_size"]))
     return config | {
         "type": POLICY_TYPE,
         "vision_backbone": "resnet18",
         "backbone_norm": "group_norm" if _is_grouped(config, recipe) else "frozen_batch_norm",
-        "backbone_stages": 3 if str(config["vision_backbone"]).endswith("_stages3") else 4,
+        "backbone_stages": 3 if _has_three_stages(config) else 4,
         "relative": meant == "observation_relative",
         "use_vae": False,
         "n_action_steps": query_every,

@@ -32,7 +32,8 @@ pub(crate) enum TrainingRecipe {
 pub(crate) enum Backbone {
     /// Trained with the rest, from random weights. LeRobot does not know it.
     GroupNorm,
-    /// Batch normalisation whose statistics are fixed, as LeRobot's: starts from --backbone-weights.
+    /// Batch normalisation whose statistics are fixed, as LeRobot's: those of --backbone-weights, or else of some images of the
+    /// dataset before the first step.
     FrozenBatchNorm,
 }
 

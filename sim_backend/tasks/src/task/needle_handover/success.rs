@@ -4,7 +4,6 @@ use hal::Pose;
 use hal::config::{ConfigError, Source};
 use nalgebra::Point3;
 use serde::Deserialize;
-use trocar_world::Grasp;
 use trocar_world::needle::NeedleShape;
 use trocar_world::organ::Organ;
 
@@ -111,14 +110,30 @@ impl SuccessMonitor {
         self.safeguard.end(&middle, sight, fallen)
     }
 
-    /// Whether `holder` alone holds the needle, clear of the organ.
-    fn is_held(&self, needle_in_scene: &Pose, holder: &Grasp, other: &Grasp) -> bool {
+    /// `all`, and whether one arm alone holds the needle, clear of the organ: the first, or once it is `given` the second, the first
+    /// being away.
+    fn holding(&self, all: Criteria, sight: &Sight, given: bool) -> Criteria {
+        let (config, needle) = (&self.config, &sight.thing_in_scene);
+        let (first, second) = (&sight.grasps[0], &sight.grasps[1]);
+        let (holder, other, fingers) = if given {
+            (second, first, "between the second arm's fingers")
+        } else {
+            (first, second, "between the first arm's fingers")
+        };
         let force_n = holder.left_force_n.min(holder.right_force_n);
         let alone = other.left_force_n <= 0.0 && other.right_force_n <= 0.0;
-        alone
-            && holder.both_touch
-            && force_n >= self.config.grip_force_n_min
-            && self.clearance_m(needle_in_scene) >= self.config.clearance_m
+        let clearance_m = self.clearance_m(needle);
+        let (force, clear) = ("force of each finger", "wire clear of the organ");
+        let held = all
+            .so(fingers, holder.both_touch)
+            .at_least(force, "N", force_n, config.grip_force_n_min)
+            .so("not touched by the other arm", alone)
+            .at_least(clear, "m", clearance_m, config.clearance_m);
+        if !given {
+            return held;
+        }
+        let away_m = self.away_m(needle, &sight.tips_in_scene[0]);
+        held.at_least("first arm away from the wire", "m", away_m, config.away_m)
     }
 
     /// Free space between the wire and the organ at its lowest point, m.
@@ -146,19 +161,19 @@ impl Monitor for SuccessMonitor {
         if let Some(end) = self.end(sight) {
             return end;
         }
-        let needle = &sight.thing_in_scene;
         let (giver, taker) = (&sight.grasps[0], &sight.grasps[1]);
-        let giving = self.is_held(needle, giver, taker);
+        let is_held = |by_second| {
+            self.holding(Criteria::default(), sight, by_second)
+                .are_met()
+        };
+        let (giving, taking) = (is_held(false), is_held(true));
         self.given_steps = if giving { self.given_steps + 1 } else { 0 };
         self.given |= seconds(self.given_steps) >= self.config.given_s;
         // A needle that was let fall has to be lifted and given again.
         let loose = !giver.both_touch && !taker.both_touch;
         self.loose_steps = if loose { self.loose_steps + 1 } else { 0 };
         self.given &= seconds(self.loose_steps) < LOOSE_S;
-        let taken = self.given
-            && self.is_held(needle, taker, giver)
-            && self.away_m(needle, &sight.tips_in_scene[0]) >= self.config.away_m;
-        self.held.outcome(taken, self.config.hold_s)
+        self.held.outcome(self.given && taking, self.config.hold_s)
     }
 
     fn missing(&self) -> &'static str {
@@ -170,50 +185,14 @@ impl Monitor for SuccessMonitor {
     }
 
     fn criteria(&self, sight: &Sight) -> Criteria {
-        let (config, needle) = (&self.config, &sight.thing_in_scene);
-        let (giver, taker) = (&sight.grasps[0], &sight.grasps[1]);
-        let (holder, other) = if self.given {
-            (taker, giver)
+        let (config, given) = (&self.config, self.given);
+        let all = Criteria::default().so("lifted by the first arm", given);
+        let (held_s, hold_s) = if given {
+            (self.held.seconds(), config.hold_s)
         } else {
-            (giver, taker)
+            (seconds(self.given_steps), config.given_s)
         };
-        let force_n = holder.left_force_n.min(holder.right_force_n);
-        let alone = other.left_force_n <= 0.0 && other.right_force_n <= 0.0;
-        let clearance_m = self.clearance_m(needle);
-        let all = Criteria::default()
-            .so("lifted by the first arm", self.given)
-            .so(
-                if self.given {
-                    "between the second arm's fingers"
-                } else {
-                    "between the first arm's fingers"
-                },
-                holder.both_touch,
-            )
-            .at_least(
-                "force of each finger",
-                "N",
-                force_n,
-                config.grip_force_n_min,
-            )
-            .so("not touched by the other arm", alone)
-            .at_least(
-                "wire clear of the organ",
-                "m",
-                clearance_m,
-                config.clearance_m,
-            );
-        if self.given {
-            let away_m = self.away_m(needle, &sight.tips_in_scene[0]);
-            all.at_least("first arm away from the wire", "m", away_m, config.away_m)
-                .at_least("for so long", "s", self.held.seconds(), config.hold_s)
-        } else {
-            all.at_least(
-                "for so long",
-                "s",
-                seconds(self.given_steps),
-                config.given_s,
-            )
-        }
+        self.holding(all, sight, given)
+            .at_least("for so long", "s", held_s, hold_s)
     }
 }

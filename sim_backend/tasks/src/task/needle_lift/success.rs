@@ -4,7 +4,6 @@ use hal::Pose;
 use hal::config::{ConfigError, Source};
 use nalgebra::Point3;
 use serde::Deserialize;
-use trocar_world::Grasp;
 use trocar_world::needle::NeedleShape;
 use trocar_world::organ::Organ;
 
@@ -92,12 +91,24 @@ impl SuccessMonitor {
         }
     }
 
-    fn held(&self, needle_in_scene: &Pose, middle: &Point3<f64>, grasp: &Grasp) -> bool {
-        let raised =
-            middle.z - self.organ.height_m(middle.x, middle.y) >= self.config.lift_height_m;
+    /// Whether the needle is above the organ, in the grip of both fingers.
+    fn lifted(&self, sight: &Sight) -> Criteria {
+        let (config, grasp) = (&self.config, &sight.grasps[0]);
+        let middle = sight.thing_in_scene * self.middle;
+        let height_m = middle.z - self.organ.height_m(middle.x, middle.y);
+        let clearance_m = self.clearance_m(&sight.thing_in_scene);
         let force_n = grasp.left_force_n.min(grasp.right_force_n);
-        let gripped = grasp.both_touch && force_n >= self.config.grip_force_n_min;
-        raised && gripped && self.clearance_m(needle_in_scene) >= self.config.clearance_m
+        let (force, height) = ("force of each finger", "height above the organ");
+        Criteria::default()
+            .so("between both fingers", grasp.both_touch)
+            .at_least(force, "N", force_n, config.grip_force_n_min)
+            .at_least(height, "m", height_m, config.lift_height_m)
+            .at_least(
+                "wire clear of the organ",
+                "m",
+                clearance_m,
+                config.clearance_m,
+            )
     }
 
     /// Free space between the wire and the organ at its lowest point, m.
@@ -112,14 +123,13 @@ impl SuccessMonitor {
 
 impl Monitor for SuccessMonitor {
     fn observe(&mut self, sight: &Sight) -> Outcome {
-        let grasp = &sight.grasps[0];
         let middle = sight.thing_in_scene * self.middle;
         let (organ, sink_m) = (&self.organ, self.config.sink_m_max);
         let fallen = || is_off(organ, &middle, sink_m);
         if let Some(end) = self.safeguard.end(&middle, sight, fallen) {
             return end;
         }
-        let held = self.held(&sight.thing_in_scene, &middle, grasp);
+        let held = self.lifted(sight).are_met();
         self.held.outcome(held, self.config.hold_s)
     }
 
@@ -128,32 +138,9 @@ impl Monitor for SuccessMonitor {
     }
 
     fn criteria(&self, sight: &Sight) -> Criteria {
-        let (config, grasp) = (&self.config, &sight.grasps[0]);
-        let middle = sight.thing_in_scene * self.middle;
-        let height_m = middle.z - self.organ.height_m(middle.x, middle.y);
-        let clearance_m = self.clearance_m(&sight.thing_in_scene);
-        let force_n = grasp.left_force_n.min(grasp.right_force_n);
-        Criteria::default()
-            .so("between both fingers", grasp.both_touch)
-            .at_least(
-                "force of each finger",
-                "N",
-                force_n,
-                config.grip_force_n_min,
-            )
-            .at_least(
-                "height above the organ",
-                "m",
-                height_m,
-                config.lift_height_m,
-            )
-            .at_least(
-                "wire clear of the organ",
-                "m",
-                clearance_m,
-                config.clearance_m,
-            )
-            .at_least("for so long", "s", self.held.seconds(), config.hold_s)
+        let (held_s, hold_s) = (self.held.seconds(), self.config.hold_s);
+        self.lifted(sight)
+            .at_least("for so long", "s", held_s, hold_s)
     }
 }
 

@@ -1,6 +1,7 @@
 //! Facts about verdicts: what holds, what breaks a hold, what loses.
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
+use trocar_world::Grasp;
 
 use super::*;
 use crate::task::needle_lift::NeedleLift;
