@@ -5,10 +5,15 @@ use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
 use crate::{Pose, TimeNs};
 
-/// Pinhole intrinsics in pixels; pixel centres lie at half-integers, x to the right, y down.
+mod distortion;
+
+pub use distortion::Distortion;
+
+/// Intrinsics in pixels; pixel centres lie at half-integers, x to the right, y down. All planes of a frame share them: a
+/// distorted camera's depth and instance ids belong to its distorted picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
-#[type_name("trocar/intrinsics/1")]
+#[type_name("trocar/intrinsics/2")]
 pub struct Intrinsics {
     /// Image width, pixels.
     pub width: u32,
@@ -22,6 +27,8 @@ pub struct Intrinsics {
     pub cx: f64,
     /// Principal point y, pixels.
     pub cy: f64,
+    /// How far the lens is from a pinhole.
+    pub distortion: Distortion,
 }
 
 impl Intrinsics {
@@ -36,7 +43,56 @@ impl Intrinsics {
             fy,
             cx: 0.5 * f64::from(width),
             cy: 0.5 * f64::from(height),
+            distortion: Distortion::NONE,
         }
+    }
+
+    /// The same camera without its distortion: the pinhole.
+    #[must_use]
+    pub const fn pinhole(&self) -> Self {
+        Self {
+            distortion: Distortion::NONE,
+            ..*self
+        }
+    }
+
+    /// Where the ray through `x`, `y`, 1 in the camera frame falls in the picture, pixels. Behind a lens that folds rays over
+    /// each other, see [`Distortion::keeps_order`], several fall there.
+    #[must_use]
+    pub fn pixel(&self, ray: [f64; 2]) -> [f64; 2] {
+        let [x, y] = self.distortion.distort(ray);
+        [self.fx * x + self.cx, self.fy * y + self.cy]
+    }
+
+    /// The ray that falls on `pixel`: its x and y in the camera frame where z is 1. None if no ray does.
+    #[must_use]
+    pub fn ray(&self, [u, v]: [f64; 2]) -> Option<[f64; 2]> {
+        let seen = [(u - self.cx) / self.fx, (v - self.cy) / self.fy];
+        self.distortion.undistort(seen)
+    }
+
+    /// Least and greatest x, and least and greatest y, of the rays that fall on the centres of the picture's pixels, where z is
+    /// 1. None if the lens folds some of them over each other, or no ray falls on some.
+    #[must_use]
+    pub fn field(&self) -> Option<[[f64; 2]; 2]> {
+        let (across, down) = (f64::from(self.width), f64::from(self.height));
+        let columns = (0..self.width).map(|column| f64::from(column) + 0.5);
+        let rows = (0..self.height).map(|row| f64::from(row) + 0.5);
+        // A lens that keeps rays in order has the outermost ones at the picture's rim.
+        let rim = columns
+            .flat_map(|u| [[u, 0.5], [u, down - 0.5]])
+            .chain(rows.flat_map(|v| [[0.5, v], [across - 0.5, v]]));
+        let mut field = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
+        for pixel in rim {
+            let ray = self.ray(pixel)?;
+            if !self.distortion.keeps_order(ray) {
+                return None;
+            }
+            for ([least, greatest], value) in field.iter_mut().zip(ray) {
+                (*least, *greatest) = (least.min(value), greatest.max(value));
+            }
+        }
+        Some(field)
     }
 
     /// Pixels in one image.

@@ -16,7 +16,7 @@ pub mod tail;
 pub mod time;
 
 pub use arm::{ARM_NAMES, Arm, ArmCommand, ArmError, ArmState};
-pub use camera::{CameraFrame, FrameRef, Intrinsics};
+pub use camera::{CameraFrame, Distortion, FrameRef, Intrinsics};
 pub use chunk::{Chunk, TipTarget};
 pub use joints::{JOINT_COUNT, JointVector, Pose};
 pub use mesh::Mesh;

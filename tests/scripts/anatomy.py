@@ -202,6 +202,26 @@ def check_stage(path):
     return stage
 
 
+def check_levels(path, meshes, levels):
+    stage, errors = stage_errors(path)
+    report("levels: issues of UsdValidation", len(errors), 0)
+    variants = stage.GetDefaultPrim().GetVariantSet("LOD")
+    names = [f"LOD{level}" for level in range(levels + 1)]
+    report("levels: variants that are not the finest and the coarser ones", int(variants.GetVariantNames() != names), 0)
+    before = float("inf")
+    for name in names:
+        variants.SetVariantSelection(name)
+        found = stage_meshes(stage)
+        triangles = sum(len(mesh.faces) for mesh in found.values())
+        report(f"levels: {name}: triangles to the level before", triangles / before, 0.75)
+        before = triangles
+        report(f"levels: {name}: groups that the finest has not, or lack", len(found.keys() ^ meshes.keys()), 0)
+        open_ones = [group for group, mesh in found.items() if not mesh.is_watertight]
+        report(f"levels: {name}: open surfaces", len(open_ones), 0)
+        off = max(abs(mesh.volume / meshes[group].volume - 1) for group, mesh in found.items())
+        report(f"levels: {name}: volume to the finest's", off, 2 * VOLUME)
+
+
 def check_package(path, meshes):
     stage, errors = stage_errors(path)
     report("package: issues of UsdValidation", len(errors), 0)
@@ -428,13 +448,14 @@ def main():
     size = options.size or ("96x96x115" if options.short else "160x160x192")
     trocar("phantom", "--seed", options.seed, "--size", size, "--out", folder)
     tetrahedra = [] if options.short else ["--tetrahedra", 8]
-    trocar("build", folder / "labels.nii.gz", "--out", folder, *tetrahedra)
+    trocar("build", folder / "labels.nii.gz", "--out", folder, "--levels", 2, *tetrahedra)
     random = np.random.default_rng(options.seed)
     check_nifti(folder / "ct.nii.gz", random)
     image = check_nifti(folder / "labels.nii.gz", random)
     stage = check_stage(folder / "patient.usda")
     meshes = stage_meshes(stage)
     check_meshes(folder, image, meshes)
+    check_levels(folder / "patient-levels.usda", meshes, 2)
     check_package(folder / "patient.usdz", meshes)
     check_gltf(folder / "patient.glb", meshes)
     check_planted(folder, meshes)

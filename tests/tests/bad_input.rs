@@ -363,17 +363,22 @@ fn disturbances_and_variations_that_cannot_be_are_refused() {
         assert!(message.contains("above 0, up to 1"), "{message}");
     }
     let message = record("needle-lift", &["--vary", "colours"]);
-    assert!(message.contains("needles, views, light"), "{message}");
+    assert!(message.contains("needles, views, light, lens"), "{message}");
     let message = record("suture-pad", &["--vary", "light,needles"]);
     assert!(
         message.contains(
-            "--vary needles: suture-pad has no choice of needles; it can vary views, light"
+            "--vary needles: suture-pad has no choice of needles; it can vary views, light, lens"
         ),
         "{message}"
     );
     let message = record("needle-lift", &["--vary", "views", "--view", "view1"]);
     assert!(
         message.contains("--view chooses one for all episodes"),
+        "{message}"
+    );
+    let message = record("needle-lift", &["--vary", "lens", "--depth"]);
+    assert!(
+        message.contains("--vary lens: --depth keeps one lens a camera"),
         "{message}"
     );
     assert!(!Path::new(&out).exists());

@@ -27,13 +27,13 @@ const WORDS_PER_PIXEL: usize = 2;
 /// What describes a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
-#[type_name("trocar/frame_header/1")]
+#[type_name("trocar/frame_header/2")]
 pub struct FrameHeader {
     /// When it was exposed, by the system's `CLOCK_MONOTONIC`, ns, which all processes of a machine share (slowed down alike in slow motion).
     pub stamp: TimeNs,
     /// Count of frames from this camera.
     pub sequence: u64,
-    /// The lens, which also gives the size.
+    /// The lens with its distortion, which also gives the size.
     pub intrinsics: Intrinsics,
     /// Camera position in the scene frame, metres.
     pub position_m: [f64; 3],

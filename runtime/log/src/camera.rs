@@ -1,6 +1,6 @@
 //! Camera frames as the log keeps them: the colour image as PNG, the lens, and where the camera was.
 
-use hal::{CameraFrame, Intrinsics, Pose, TimeNs};
+use hal::{CameraFrame, Distortion, Intrinsics, Pose, TimeNs};
 use image::{ExtendedColorType, ImageEncoder, codecs::png};
 
 use super::error::LogError;
@@ -108,6 +108,15 @@ impl FrameItem {
     }
 }
 
+/// The model's name and its coefficients, as ROS has them; none of a pinhole.
+fn described(distortion: &Distortion) -> (String, Vec<f64>) {
+    if distortion.is_none() {
+        return Default::default();
+    }
+    let [k1, k2, p1, p2] = distortion.coefficients();
+    ("plumb_bob".to_owned(), vec![k1, k2, p1, p2, 0.0])
+}
+
 /// The lens of the camera `name`.
 pub(super) fn lens(at: TimeNs, name: &str, intrinsics: &Intrinsics) -> CameraCalibration {
     let Intrinsics {
@@ -117,13 +126,15 @@ pub(super) fn lens(at: TimeNs, name: &str, intrinsics: &Intrinsics) -> CameraCal
         fy,
         cx,
         cy,
+        distortion,
     } = *intrinsics;
+    let (distortion_model, coefficients) = described(&distortion);
     CameraCalibration {
         timestamp: Some(Timestamp::new(at)),
         width,
         height,
-        distortion_model: String::new(),
-        D: Vec::new(),
+        distortion_model,
+        D: coefficients,
         K: vec![fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
         R: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         P: vec![fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],

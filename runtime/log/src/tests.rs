@@ -160,6 +160,7 @@ fn frames_become_png_images_with_their_lens() {
         *pixel = value;
     }
     frame.camera_in_scene = hal::Pose::translation(0.1, -0.2, 0.3);
+    frame.intrinsics.distortion = hal::Distortion::new([-0.3, 0.1, 0.001, -0.002]);
     recorder.frame("endoscope", &frame);
     recorder.tick(&record(0));
     assert_eq!(recorder.finish(None).unwrap().frames, 1);
@@ -179,6 +180,8 @@ fn frames_become_png_images_with_their_lens() {
                 (lens.width, lens.height, lens.K.len(), lens.P.len()),
                 (16, 8, 9, 12)
             );
+            assert_eq!(lens.distortion_model, "plumb_bob");
+            assert_eq!(lens.D, [-0.3, 0.1, 0.001, -0.002, 0.0]);
             seen += 1;
         }
         if message.channel.topic == "/camera/endoscope/pose" {

@@ -22,7 +22,7 @@ pub use glb::glb;
 pub use gltf::Numbers;
 pub use read::{Part, PatientError, file_of, read};
 pub use tetra::tetrahedra_usda;
-pub use usda::usda;
+pub use usda::{level_file, levels_usda, usda};
 pub use usdz::usdz;
 
 /// The patient's glTF file in its folder.

@@ -10,7 +10,9 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::assets::{Asset, FRAME, GLB_FILE, glb, tetrahedra_usda, usda, usdz};
+use crate::assets::{
+    Asset, FRAME, GLB_FILE, glb, level_file, levels_usda, tetrahedra_usda, usda, usdz,
+};
 use crate::atlas::unwrap;
 use crate::clean::{Cleaned, remove_islands, separate_touching};
 use crate::decimate::decimate;
@@ -18,7 +20,7 @@ use crate::groups::Groups;
 use crate::measure::measure;
 use crate::mesh::GroupMesh;
 use crate::nifti::{LabelVolume, read_labels};
-use crate::number::floor_to;
+use crate::number::{floor_to, index};
 use crate::surface::Method;
 use crate::surface::complex::Complex;
 use crate::tetra::Tetrahedra;
@@ -26,7 +28,9 @@ use crate::volume::Padded;
 
 use surfaces::{settle, stage_distances, surfaces};
 
-pub use report::{BuildError, GroupReport, Report, Stage, StageDistance, TetrahedraReport};
+pub use report::{
+    BuildError, GroupReport, LevelReport, Report, Stage, StageDistance, TetrahedraReport,
+};
 
 /// Share of the error that decimation may take; the last correction of volumes may take the rest.
 const DECIMATION_SHARE: f64 = 0.8;
@@ -46,7 +50,12 @@ pub struct Options {
     pub measure_stages: bool,
     /// Side of the cells of the lattice of tetrahedra, mm; none if there are to be none.
     pub tetrahedra_mm: Option<f64>,
+    /// How many coarser levels of detail there are to be, each with twice the error of the one before, at most [`LEVELS_MAX`].
+    pub levels: u32,
 }
+
+/// Most coarser levels of detail.
+pub const LEVELS_MAX: u32 = 4;
 
 impl Default for Options {
     fn default() -> Self {
@@ -57,6 +66,7 @@ impl Default for Options {
             smoothing: 20,
             measure_stages: false,
             tetrahedra_mm: None,
+            levels: 0,
         }
     }
 }
@@ -68,6 +78,8 @@ pub struct Patient {
     pub meshes: Vec<GroupMesh>,
     /// Tetrahedra of the groups that have any, if they were asked for.
     pub tetrahedra: Vec<Tetrahedra>,
+    /// Coarser meshes, a level of detail each, if they were asked for; the same groups in the same order, but for those that vanish.
+    pub levels: Vec<Vec<GroupMesh>>,
     /// What was made.
     pub report: Report,
 }
@@ -118,6 +130,30 @@ fn meshes(complex: &Complex, groups: &Groups) -> Vec<(GroupMesh, f64)> {
             (mesh, used)
         })
         .collect()
+}
+
+/// Coarser levels of detail: each made of the one before, so that what one loses the next has not.
+fn coarser(
+    mut complex: Complex,
+    groups: &Groups,
+    targets: &[f64],
+    options: &Options,
+) -> (Vec<Vec<GroupMesh>>, Vec<LevelReport>) {
+    let mut further_mm = options.max_error_mm;
+    (0..options.levels.min(LEVELS_MAX))
+        .map(|_| {
+            complex = decimate(core::mem::take(&mut complex), DECIMATION_SHARE * further_mm);
+            settle(&mut complex, targets, (1.0 - DECIMATION_SHARE) * further_mm);
+            let level = meshes(&complex, groups).into_iter().map(|(mesh, _)| mesh);
+            // What the levels before are off, and this one from them.
+            further_mm *= 2.0;
+            let report = LevelReport {
+                max_error_mm: further_mm,
+                triangles: complex.triangles.len(),
+            };
+            (level.collect(), report)
+        })
+        .unzip()
 }
 
 /// Makes a patient of the labels in `path`; `watch` is told each stage as it begins, but for [`Stage::Write`].
@@ -203,20 +239,33 @@ fn build_volume(
         groups: meshes.par_iter().filter_map(report_on).collect(),
         stage_distances: by_stage,
         tetrahedra: Vec::new(),
+        levels: Vec::new(),
     };
     let mut patient = Patient {
         meshes: meshes.into_iter().map(|(mesh, _)| mesh).collect(),
         tetrahedra: Vec::new(),
+        levels: Vec::new(),
         report,
     };
+    (patient.levels, patient.report.levels) = coarser(complex, groups, &targets, options);
     if let Some(side_mm) = options.tetrahedra_mm {
         patient.fill(groups, side_mm);
     }
     patient
 }
 
-/// Writes `patient.glb`, `patient.usda`, the same in `patient.usdz`, `patient.json` (the report) and, if there are any, `tetrahedra.usda`
-/// into `folder`, which is made.
+/// What belongs to `meshes`, as files have it.
+fn assets<'a>(meshes: &'a [GroupMesh], groups: &'a Groups) -> Vec<Asset<'a>> {
+    let asset = |mesh: &'a GroupMesh| Asset {
+        group: &groups.groups[mesh.group],
+        mesh,
+    };
+    meshes.iter().map(asset).collect()
+}
+
+/// Writes `patient.glb`, `patient.usda`, the same in `patient.usdz`, `patient.json` (the report) and, if there are any, `tetrahedra.usda`,
+/// and coarser levels (`patient-level-1.usda` and following) with `patient-levels.usda`, which has all as variants, into `folder`, which is
+/// made.
 ///
 /// # Errors
 /// [`BuildError::Unwritable`].
@@ -226,36 +275,47 @@ pub fn write(patient: &Patient, groups: &Groups, folder: &Path) -> Result<(), Bu
         move |source| BuildError::Unwritable { path, source }
     };
     fs::create_dir_all(folder).map_err(unwritable(folder))?;
-    let assets: Vec<Asset<'_>> = patient
-        .meshes
-        .iter()
-        .map(|mesh| Asset {
-            group: &groups.groups[mesh.group],
-            mesh,
-        })
-        .collect();
+    let assets = assets(&patient.meshes, groups);
     let (binary, text) = rayon::join(|| glb(&assets), || usda(&assets));
     let report = serde_json::to_string_pretty(&patient.report).map_err(io::Error::other);
     let report = report.map_err(unwritable(&folder.join("patient.json")))?;
-    let mut files = vec![
-        (GLB_FILE, binary),
-        ("patient.usdz", usdz("patient.usda", text.as_bytes())),
-        ("patient.usda", text.into_bytes()),
-        ("patient.json", report.into_bytes()),
+    let files = vec![
+        (GLB_FILE.to_owned(), Some(binary)),
+        (
+            "patient.usdz".to_owned(),
+            Some(usdz("patient.usda", text.as_bytes())),
+        ),
+        ("patient.usda".to_owned(), Some(text.into_bytes())),
+        ("patient.json".to_owned(), Some(report.into_bytes())),
     ];
-    if !patient.tetrahedra.is_empty() {
-        let text = tetrahedra_usda(groups, &patient.tetrahedra);
-        files.push(("tetrahedra.usda", text.into_bytes()));
-    } else if folder.join("tetrahedra.usda").exists() {
-        // Those of other meshes.
-        let path = folder.join("tetrahedra.usda");
-        fs::remove_file(&path).map_err(unwritable(&path))?;
-    }
-    for (name, bytes) in files {
+    for (name, bytes) in files.into_iter().chain(on_request(patient, groups)) {
         let path = folder.join(name);
-        fs::write(&path, bytes).map_err(unwritable(&path))?;
+        match bytes {
+            Some(bytes) => fs::write(&path, bytes).map_err(unwritable(&path))?,
+            // Those of other meshes.
+            None if path.exists() => fs::remove_file(&path).map_err(unwritable(&path))?,
+            None => {}
+        }
     }
     Ok(())
+}
+
+/// The files that are made if they are asked for, and have no bytes if they are not.
+fn on_request(patient: &Patient, groups: &Groups) -> Vec<(String, Option<Vec<u8>>)> {
+    let filled = (!patient.tetrahedra.is_empty())
+        .then(|| tetrahedra_usda(groups, &patient.tetrahedra).into_bytes());
+    let levels = index(patient.levels.len());
+    let all = (levels > 0).then(|| levels_usda(levels).into_bytes());
+    let mut files = vec![
+        ("tetrahedra.usda".to_owned(), filled),
+        ("patient-levels.usda".to_owned(), all),
+    ];
+    for level in 1..=LEVELS_MAX {
+        let meshes = patient.levels.get(level as usize - 1);
+        let text = meshes.map(|meshes| usda(&assets(meshes, groups)).into_bytes());
+        files.push((level_file(level), text));
+    }
+    files
 }
 
 #[cfg(test)]

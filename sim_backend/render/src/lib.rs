@@ -4,4 +4,4 @@ mod render;
 pub mod shapes;
 pub mod visual;
 
-pub use render::{Camera, Light, Planes, RenderError, Renderer, Shading, look_at};
+pub use render::{Camera, Light, Optics, Planes, RenderError, Renderer, Shading, look_at};

@@ -116,6 +116,8 @@ pub struct Backdrop {
     pub walls: f32,
     /// Linear RGB of what metal mirrors from below: the colour that prevails in the scene.
     pub bounce: [f32; 3],
+    /// By how much longer a camera that looks across the endoscope's light is exposed in pictures for people.
+    pub across: f64,
 }
 
 impl Backdrop {
@@ -132,6 +134,7 @@ impl Backdrop {
         },
         walls: 0.35,
         bounce: [0.42, 0.10, 0.075],
+        across: 1.7,
     };
 
     /// A table under a drape, `floor_m` high, in a dark room.
@@ -149,6 +152,7 @@ impl Backdrop {
             },
             walls: 0.25,
             bounce,
+            across: 1.0,
         }
     }
 }
@@ -164,10 +168,13 @@ pub struct Visual {
     pub material: Material,
     /// Its id in segmentation images.
     pub instance: u8,
+    /// Whether it stands where its mesh has it, in one frame with all others that do, in every picture. Finely shaded, these keep the light
+    /// from all around off each other.
+    pub is_still: bool,
 }
 
 impl Visual {
-    /// What has this shape and surface.
+    /// What has this shape and surface, and may move.
     #[must_use]
     pub const fn new(name: &'static str, mesh: Mesh, material: Material, instance: u8) -> Self {
         Self {
@@ -175,7 +182,15 @@ impl Visual {
             mesh,
             material,
             instance,
+            is_still: false,
         }
+    }
+
+    /// The same where it never moves; see [`Self::is_still`].
+    #[must_use]
+    pub const fn still(mut self) -> Self {
+        self.is_still = true;
+        self
     }
 }
 

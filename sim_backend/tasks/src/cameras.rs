@@ -7,11 +7,11 @@ mod model;
 use hal::{CameraFrame, Intrinsics, Mesh, Pose};
 use nalgebra::{Point3, Vector3};
 use trocar_render::visual::instance;
-use trocar_render::{Camera, Light, Planes, RenderError, Renderer, look_at};
+use trocar_render::{Camera, Light, Optics, Planes, RenderError, Renderer, Shading, look_at};
 
 use crate::SimulationError;
 use crate::scene::SceneSnapshot;
-use crate::task::{CameraConfig, Look, TaskConfig, TaskScene, scene_poses, scene_visuals};
+use crate::task::{CameraConfig, Drawn, Look, TaskConfig, TaskScene, scene_poses, scene_visuals};
 use flap::DrawnFlap;
 
 pub use model::SceneModel;
@@ -19,6 +19,9 @@ pub use model::SceneModel;
 /// Image depth range, m.
 const NEAR_M: f64 = 0.005;
 const FAR_M: f64 = 1.0;
+
+/// From which angle between their views on a camera looks across the endoscope's light, rad: more than two eyes are apart.
+const ACROSS_RAD: f64 = 0.35;
 
 /// The cameras of one task, their light and the device that draws.
 pub struct SceneCameras {
@@ -43,6 +46,7 @@ struct View {
     /// In the scene frame, or in the tip frame of the arm that carries it.
     camera_in_mount: Pose,
     carrier: Option<usize>,
+    optics: Optics,
 }
 
 impl SceneCameras {
@@ -54,7 +58,7 @@ impl SceneCameras {
         let visuals = scene_visuals(task);
         let backdrop = task.scene.backdrop();
         let renderer = Renderer::with_backdrop(&visuals, &backdrop, task.shading)?;
-        let views = task.cameras.iter().map(View::new).collect();
+        let views = View::all(task);
         Ok(Self {
             renderer,
             scene: task.scene.clone(),
@@ -67,12 +71,12 @@ impl SceneCameras {
         })
     }
 
-    /// Puts the cameras where `task` has them in the episode `seed`, and shows its needle in its light: its view and what it
-    /// varies may be others in each.
+    /// Puts the cameras where `task` has them in the episode `seed`, and shows its needle in its light through its lenses: its
+    /// view and what it varies may be others in each.
     pub fn begin_episode(&mut self, task: &TaskConfig, seed: u64) {
-        self.views = View::of_episode(task, seed);
-        self.endoscope = task.light_camera();
         let drawn = task.drawn(seed);
+        self.views = View::of_episode(task, seed, &drawn);
+        self.endoscope = task.light_camera();
         if drawn.needle.is_some() {
             self.scene = task.scene_of(seed);
             let visuals = self.scene.visuals().into_iter().enumerate();
@@ -221,6 +225,10 @@ impl SceneCameras {
             camera_in_scene: view.camera_in_scene(snapshot)?,
             near_m: NEAR_M,
             far_m: FAR_M,
+            optics: Optics {
+                moment: snapshot.moment_ms,
+                ..view.optics
+            },
         })
     }
 
@@ -240,14 +248,37 @@ impl SceneCameras {
 }
 
 impl View {
-    /// The cameras of `task` where they stand in the episode `seed`.
-    fn of_episode(task: &TaskConfig, seed: u64) -> Vec<Self> {
-        let placed = |camera: &CameraConfig| {
-            let mut view = Self::new(camera);
+    /// The cameras of `task` where they stand in the episode `seed`, for which `drawn` was drawn.
+    fn of_episode(task: &TaskConfig, seed: u64, drawn: &Drawn) -> Vec<Self> {
+        let mut views = Self::all(task);
+        for (view, camera) in views.iter_mut().zip(&task.cameras) {
             view.camera_in_mount *= task.view.shift(camera, seed);
-            view
-        };
-        task.cameras.iter().map(placed).collect()
+            if let Some(lens) = drawn.lenses.get(&camera.name) {
+                view.intrinsics = lens.of(&view.intrinsics);
+                let exposure = view.optics.exposure * lens.exposure;
+                view.optics = Optics {
+                    exposure,
+                    ..lens.optics()
+                };
+            }
+        }
+        views
+    }
+
+    /// The cameras of `task` as the file has them. Those that look across the endoscope's light are exposed for people's eyes if the
+    /// pictures are for them.
+    fn all(task: &TaskConfig) -> Vec<Self> {
+        let mut views: Vec<Self> = task.cameras.iter().map(Self::new).collect();
+        let along = |view: &Self| view.camera_in_mount * Vector3::z();
+        let light = views.get(task.light_camera()).map(along);
+        if let (Shading::Fine, Some(light)) = (task.shading, light) {
+            let across =
+                |view: &&mut Self| view.carrier.is_none() && along(view).angle(&light) > ACROSS_RAD;
+            for view in views.iter_mut().filter(across) {
+                view.optics.exposure = task.scene.backdrop().across;
+            }
+        }
+        views
     }
 
     fn new(config: &CameraConfig) -> Self {
@@ -257,6 +288,7 @@ impl View {
             intrinsics: config.intrinsics(),
             camera_in_mount: look_at(eye, target, Vector3::from(config.up)),
             carrier: config.carrier(),
+            optics: Optics::CLEAN,
         }
     }
 

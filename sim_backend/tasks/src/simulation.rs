@@ -43,6 +43,7 @@ pub struct Simulation {
     nudge: Option<Nudge>,
     frames: u64,
     stamp: TimeNs,
+    moment_ms: u32,
 }
 
 /// One arm of a simulation.
@@ -101,6 +102,7 @@ impl Simulation {
             nudge: None,
             frames: 0,
             stamp: TimeNs(0),
+            moment_ms: 0,
         }
     }
 
@@ -127,6 +129,7 @@ impl Simulation {
             }
         }
         self.continue_nudge();
+        self.moment_ms = self.moment_ms.wrapping_add(1);
         self.world.step();
         if let Some(tissue) = self.world.tissue() {
             self.extremes.observe(tissue.report());
@@ -137,6 +140,7 @@ impl Simulation {
     /// Advances by 1 ms before the episode begins, before the arms are commanded: nothing is judged, and the episode's time
     /// does not run.
     pub fn wait(&mut self) {
+        self.moment_ms = self.moment_ms.wrapping_add(1);
         self.world.step();
     }
 
@@ -201,6 +205,7 @@ impl Simulation {
             *arm = Some(self.world.body_poses(index));
         }
         SceneSnapshot {
+            moment_ms: self.moment_ms,
             things,
             goal: self.goal.unwrap_or_else(Pose::identity),
             arms,

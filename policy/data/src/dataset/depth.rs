@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use hal::{CameraFrame, Intrinsics};
+use hal::{CameraFrame, Distortion, Intrinsics};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ExtendedColorType, ImageEncoder};
 use serde_json::Value;
@@ -196,6 +196,15 @@ pub(super) fn read_lens(
         *number = value;
     }
     let [fx, fy, cx, cy] = numbers;
+    let distortion = if described["distortion"].is_null() {
+        Some(Distortion::NONE)
+    } else {
+        coefficients(&described["distortion"])
+    };
+    let Some(distortion) = distortion else {
+        let found = described["distortion"].to_string();
+        return odd("distortion", found, "k1, k2, p1, p2".to_owned());
+    };
     let (width, height) = (camera.width, camera.height);
     Ok(Some(Intrinsics {
         width,
@@ -204,7 +213,15 @@ pub(super) fn read_lens(
         fy,
         cx,
         cy,
+        distortion,
     }))
+}
+
+/// Four coefficients.
+fn coefficients(given: &Value) -> Option<Distortion> {
+    let numbers = given.as_array()?.iter().map(Value::as_f64);
+    let numbers: [f64; 4] = numbers.collect::<Option<Vec<_>>>()?.try_into().ok()?;
+    Some(Distortion::new(numbers))
 }
 
 /// Every depth column must be there.

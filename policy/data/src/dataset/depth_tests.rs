@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use hal::Intrinsics;
+use hal::{Distortion, Intrinsics};
 
 use super::{
     ArmFrame, CameraSpec, Dataset, DatasetError, DatasetSpec, DatasetWriter, DepthFrame,
@@ -23,6 +23,7 @@ const LENS: Intrinsics = Intrinsics {
     fy: 1.0 / 3.0,
     cx: 2.9,
     cy: 2.0,
+    distortion: Distortion::new([-0.3, 0.1, 0.001, -1e-9]),
 };
 
 fn folder(name: &str) -> PathBuf {

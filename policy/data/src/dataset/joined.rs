@@ -167,7 +167,15 @@ fn lens(depth: Option<Intrinsics>) -> String {
         || "not recorded".to_owned(),
         |lens| {
             let (focal, centre) = ((lens.fx, lens.fy), (lens.cx, lens.cy));
-            format!("seen by a lens with focal lengths {focal:?} and centre {centre:?} pixels")
+            let bent = if lens.distortion.is_none() {
+                String::new()
+            } else {
+                let coefficients = lens.distortion.coefficients();
+                format!(", distorted by {coefficients:?}")
+            };
+            format!(
+                "seen by a lens with focal lengths {focal:?} and centre {centre:?} pixels{bent}"
+            )
         },
     )
 }

@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use hal::Intrinsics;
+use hal::{Distortion, Intrinsics};
 use serde_json::{Value, json};
 
 use super::{
@@ -39,6 +39,7 @@ const LENS: Intrinsics = Intrinsics {
     fy: 1.0 / 3.0,
     cx: 2.9,
     cy: 2.0,
+    distortion: Distortion::NONE,
 };
 
 /// Frames of the episodes: less, more and just as many as between two images that count for the statistics.
@@ -342,6 +343,14 @@ fn another_lens_is_refused_to_the_bit() {
     let message = refused.unwrap_err().to_string();
     assert!(
         message.contains("fx 7.1,") && message.contains(&format!("fx {fx},")),
+        "{message}"
+    );
+    let distortion = Distortion::new([0.0, 0.0, 1e-9, 0.0]);
+    let bent = with_lens(Intrinsics { distortion, ..LENS });
+    let refused = DatasetWriter::resume(&folder.0, &bent, None);
+    let message = refused.unwrap_err().to_string();
+    assert!(
+        message.contains("distortion [0.0, 0.0, 1e-9, 0.0]"),
         "{message}"
     );
 }

@@ -158,13 +158,17 @@ pub(super) fn features(spec: &DatasetSpec, video: Option<VideoCodec>) -> Vec<(St
     features
 }
 
-/// What `info.json` says about a camera's depth.
+/// What `info.json` says about a camera's depth; nothing of the distortion of a pinhole.
 fn describe_depth(lens: &Intrinsics) -> Value {
-    json!({
+    let mut described = json!({
         "is_depth_map": true,
         "depth_unit_m": DEPTH_UNIT_M,
         "intrinsics_px": {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy},
-    })
+    });
+    if !lens.distortion.is_none() {
+        described["distortion"] = json!(lens.distortion.coefficients());
+    }
+    described
 }
 
 /// What `info.json` says about a camera's video.

@@ -1,7 +1,7 @@
 //! From pixels with depth to points in a stated frame.
 //!
-//! With `a = (column + 0.5 - cx) / fx` and `b = (row + 0.5 - cy) / fy`, both computed in double precision and then rounded,
-//! and R and t the camera's rounded pose, coordinate i of a pixel's point is `((R_i1 b + R_i2) + R_i0 a) depth + t_i`.
+//! With `a = (column + 0.5 - cx) / fx` and `b = (row + 0.5 - cy) / fy`, of a distorting lens both undistorted, computed in double
+//! precision and then rounded, and R and t the camera's rounded pose, coordinate i of a pixel's point is `((R_i1 b + R_i2) + R_i0 a) depth + t_i`.
 
 use hal::{FrameRef, Intrinsics, Pose};
 use serde::{Deserialize, Serialize};
@@ -136,6 +136,8 @@ fn check(index: usize, frame: &FrameRef<'_>) -> Result<(), PerceptionError> {
 
 /// A camera's rays in its own frame, and where the camera is.
 struct View {
+    /// The lens, if it distorts: then no row or column has a ray of its own.
+    bent: Option<Intrinsics>,
     across: Vec<f32>,
     down: Vec<f32>,
     rotation: [Point; 3],
@@ -156,6 +158,7 @@ impl View {
         let rotation = camera_in_cloud.rotation.to_rotation_matrix();
         let row = |axis: usize| core::array::from_fn(|column| rotation[(axis, column)] as f32);
         Self {
+            bent: (!lens.distortion.is_none()).then_some(*lens),
             across: rays(lens.width, lens.cx, lens.fx),
             down: rays(lens.height, lens.cy, lens.fy),
             rotation: [row(0), row(1), row(2)],
@@ -163,6 +166,21 @@ impl View {
                 camera_in_cloud.translation.vector[axis] as f32
             }),
         }
+    }
+
+    /// What all points of a row share.
+    fn row(&self, down: f32) -> Point {
+        core::array::from_fn(|i| self.rotation[i][1] * down + self.rotation[i][2])
+    }
+
+    /// What a pixel of a distorting lens has in the place of its row's share and its column's x.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "clouds are in single precision"
+    )]
+    fn bent_ray(&self, lens: &Intrinsics, u: u32, v: u32) -> Option<(Point, f32)> {
+        let [x, y] = lens.ray([f64::from(u) + 0.5, f64::from(v) + 0.5])?;
+        Some((self.row(y as f32), x as f32))
     }
 
     /// Appends the frame's points to `points`; says what came how far.
@@ -182,10 +200,11 @@ impl View {
             .depth_m
             .chunks_exact(width)
             .zip(frame.instance.chunks_exact(width));
-        for ((depths, ids), down) in rows.zip(&self.down) {
-            let row: Point =
-                core::array::from_fn(|i| self.rotation[i][1] * down + self.rotation[i][2]);
-            for ((&depth, &id), across) in depths.iter().zip(ids).zip(&self.across) {
+        for (v, ((depths, ids), down)) in (0_u32..).zip(rows.zip(&self.down)) {
+            let straight = self.row(*down);
+            for (u, ((&depth, &id), across)) in
+                (0_u32..).zip(depths.iter().zip(ids).zip(&self.across))
+            {
                 if !instances.contains(id) {
                     continue;
                 }
@@ -195,6 +214,14 @@ impl View {
                     continue;
                 }
                 seen.with_depth += 1;
+                let ray = match &self.bent {
+                    None => Some((straight, *across)),
+                    Some(lens) => self.bent_ray(lens, u, v),
+                };
+                // None where no ray falls, which is not in the picture either.
+                let Some((row, across)) = ray else {
+                    continue;
+                };
                 let point: Point = core::array::from_fn(|i| {
                     (row[i] + self.rotation[i][0] * across) * depth + self.translation[i]
                 });

@@ -179,10 +179,22 @@ class PolicyReply(Message):
     ]
 
 
-class Intrinsics(Message):
-    """A pinhole lens, pixels."""
+class Distortion(Message):
+    """What a lens does to straight lines: OpenCV's first four coefficients."""
 
-    NAME = "trocar/intrinsics/1"
+    NAME = "trocar/distortion/1"
+    _fields_ = [
+        ("k1", ctypes.c_double),
+        ("k2", ctypes.c_double),
+        ("p1", ctypes.c_double),
+        ("p2", ctypes.c_double),
+    ]
+
+
+class Intrinsics(Message):
+    """A lens, pixels."""
+
+    NAME = "trocar/intrinsics/2"
     _fields_ = [
         ("width", ctypes.c_uint32),
         ("height", ctypes.c_uint32),
@@ -190,13 +202,14 @@ class Intrinsics(Message):
         ("fy", ctypes.c_double),
         ("cx", ctypes.c_double),
         ("cy", ctypes.c_double),
+        ("distortion", Distortion),
     ]
 
 
 class FrameHeader(Message):
     """What describes a camera frame; its pixels follow as 32-bit words: depth, then colour, then instance ids."""
 
-    NAME = "trocar/frame_header/1"
+    NAME = "trocar/frame_header/2"
     _fields_ = [
         ("stamp", ctypes.c_uint64),
         ("sequence", ctypes.c_uint64),

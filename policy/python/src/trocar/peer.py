@@ -316,6 +316,7 @@ def _frame(camera: FrameSubscriber) -> Frame:
         depth_m=depth_m,
         instance=instance,
         intrinsics=(lens.fx, lens.fy, lens.cx, lens.cy),
+        distortion=(lens.distortion.k1, lens.distortion.k2, lens.distortion.p1, lens.distortion.p2),
         camera_in_scene=np.array([*header.position_m, *header.rotation_xyzw]),
         stamp_ns=header.stamp,
     )

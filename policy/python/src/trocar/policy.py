@@ -66,6 +66,8 @@ class Frame:
     camera_in_scene: Array
     #: When it was taken, ns.
     stamp_ns: int
+    #: k1, k2, p1, p2 (OpenCV), of all planes alike; zeros of a pinhole.
+    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -65,13 +65,10 @@ fn points(chunk: &Chunk, now: TimeNs, base: &Pose) -> Vec<Point3<f64>> {
 
 fn project(lens: &Intrinsics, camera_in_scene: &Pose, point: &Point3<f64>) -> Option<[f64; 2]> {
     let seen = camera_in_scene.inverse_transform_point(point);
-    let pixel = [
-        lens.fx * seen.x / seen.z + lens.cx,
-        lens.fy * seen.y / seen.z + lens.cy,
-    ];
-    let [u, v] = pixel;
+    let ray = [seen.x / seen.z, seen.y / seen.z];
+    let [u, v] = lens.pixel(ray);
     let parts = [u / f64::from(lens.width), v / f64::from(lens.height)];
-    (seen.z > NEAR_M).then(|| rounded(parts))
+    (seen.z > NEAR_M && lens.distortion.keeps_order(ray)).then(|| rounded(parts))
 }
 
 fn rounded<const N: usize>(numbers: [f64; N]) -> [f64; N] {

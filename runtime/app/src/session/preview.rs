@@ -8,7 +8,7 @@ use hal::{CameraFrame, Intrinsics, Pose};
 use nalgebra::{Point3, Vector3};
 use trocar_anatomy::assets::{self, Part};
 use trocar_render::visual::{Backdrop, Visual, instance};
-use trocar_render::{Camera, Light, Renderer, Shading, look_at};
+use trocar_render::{Camera, Light, Optics, Renderer, Shading, look_at};
 use trocar_tasks::SimulationError;
 use trocar_tasks::task::tissue_material;
 
@@ -150,6 +150,7 @@ fn camera(width: u32, turn: f64) -> Camera {
         camera_in_scene: look_at(eye, Point3::origin(), Vector3::z()),
         near_m: 0.2 * distance_m,
         far_m: 4.0 * distance_m,
+        optics: Optics::CLEAN,
     }
 }
 

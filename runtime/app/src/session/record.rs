@@ -152,6 +152,7 @@ impl Begun {
     /// Those of [`record`] that concern the dataset's folder.
     pub(super) fn new(plan: &Plan, options: &RecordOptions) -> Result<Self, SessionError> {
         record_failures::check(options)?;
+        check_lens(plan, options)?;
         let found = look(plan, options)?;
         let summary = RecordSummary::new(plan, options, &found);
         let whole = options.resume && summary.episodes >= options.episodes;
@@ -255,6 +256,15 @@ pub(super) fn unwritten(options: &RecordOptions, error: DatasetError) -> Session
     };
     let reason = format!("{reason}; {there} episodes are there, which --resume appends to");
     SessionError::output(&options.out, reason)
+}
+
+/// A dataset has one lens for the depth of a camera, by which clouds are made of it.
+fn check_lens(plan: &Plan, options: &RecordOptions) -> Result<(), SessionError> {
+    if options.depth && plan.setup.task.varied.contains(&Variation::Lens) {
+        let reason = "--vary lens: --depth keeps one lens a camera for all episodes; give either";
+        return Err(SessionError::BadArgument(reason.to_owned()));
+    }
+    Ok(())
 }
 
 fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpec {

@@ -329,7 +329,7 @@ mod tests {
         );
         assert_eq!(
             vary("suture-pad", &all, View::Train, None).unwrap_err(),
-            "--vary needles: suture-pad has no choice of needles; it can vary views, light"
+            "--vary needles: suture-pad has no choice of needles; it can vary views, light, lens"
         );
         assert_eq!(
             vary("needle-lift", &all, View::View2, None).unwrap_err(),

@@ -163,6 +163,35 @@ def Xform "{name}" (
     )
 }
 
+/// The file of a coarser level of detail.
+#[must_use]
+pub fn level_file(level: u32) -> String {
+    format!("patient-level-{level}.usda")
+}
+
+/// The text of a `.usda` whose `/Patient` has `patient.usda` and `coarser` further levels beside it as variants of the set `LOD`: `LOD0`, the
+/// finest, which is chosen, and following.
+#[must_use]
+pub fn levels_usda(coarser: u32) -> String {
+    let head = stage_head("Patient").replace(
+        "    kind = \"component\"\n)\n{",
+        "    kind = \"component\"\n    variants = {\n        string LOD = \"LOD0\"\n    }\n    prepend variantSets = \"LOD\"\n)\n{",
+    );
+    let mut text = format!("{head}    variantSet \"LOD\" = {{\n");
+    for level in 0..=coarser {
+        let file = match level {
+            0 => "patient.usda".to_owned(),
+            _ => level_file(level),
+        };
+        let _written = write!(
+            text,
+            "        \"LOD{level}\" (\n            prepend references = @./{file}@\n        ) {{\n        }}\n"
+        );
+    }
+    text.push_str("    }\n}\n");
+    text
+}
+
 /// The text of a `.usda` with a prim a group under `/Patient`.
 ///
 /// Each mesh is closed, its texture coordinates are a corner's own. Colliders are the triangles themselves, at rest; masses are by volume

@@ -102,6 +102,15 @@ pub struct StageDistance {
     pub dice: f64,
 }
 
+/// A coarser level of detail.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct LevelReport {
+    /// How far its meshes may be from the smooth surface, mm.
+    pub max_error_mm: f64,
+    /// Triangles of all groups' surfaces, shared ones once.
+    pub triangles: usize,
+}
+
 /// A group's tetrahedra, or why it has none.
 #[derive(Clone, Debug, Serialize)]
 pub struct TetrahedraReport {
@@ -179,6 +188,9 @@ pub struct Report {
     /// Tetrahedra by group, if they were asked for.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub tetrahedra: Vec<TetrahedraReport>,
+    /// Coarser levels of detail, if they were asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub levels: Vec<LevelReport>,
 }
 
 /// What can go wrong.

@@ -1,10 +1,10 @@
 //! A patient of a phantom is what its voxels say.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
 
-use super::{Options, Report, Stage, build, write};
+use super::{Options, Patient, Report, Stage, build, write};
 use crate::geometry::cross;
 use crate::groups::Groups;
 use crate::mesh::GroupMesh;
@@ -27,6 +27,7 @@ fn a_phantoms_meshes_are_closed_and_have_its_volumes() {
         let options = Options {
             surface,
             measure_stages: nets,
+            levels: if nets { 2 } else { 0 },
             ..Options::default()
         };
         let mut stages = Vec::new();
@@ -61,8 +62,42 @@ fn a_phantoms_meshes_are_closed_and_have_its_volumes() {
         }
         assert!(patient.report.triangles * 4 < patient.report.triangles_fine);
         write(&patient, &groups, &folder).expect("written");
+        levels_are_coarser(&patient, &folder);
     }
     std::fs::remove_dir_all(folder).expect("the folder can go");
+}
+
+/// Each has fewer triangles than the one before, of closed surfaces with the same volumes, and a file; none that was there before stays.
+fn levels_are_coarser(patient: &Patient, folder: &Path) {
+    let wanted = patient.report.options.levels;
+    assert_eq!(patient.levels.len(), wanted as usize);
+    let file = |level: u32| folder.join(format!("patient-level-{level}.usda"));
+    assert!((1..=4).all(|level| file(level).exists() == (level <= wanted)));
+    let all = std::fs::read_to_string(folder.join("patient-levels.usda"));
+    assert_eq!(all.is_ok(), wanted > 0);
+    let Ok(all) = all else { return };
+    assert!(all.contains("variantSet \"LOD\" = {") && all.contains("@./patient-level-2.usda@"));
+    let count = |meshes: &[GroupMesh]| meshes.iter().map(|it| it.triangles.len()).sum::<usize>();
+    let mut before = count(&patient.meshes);
+    for (meshes, report) in patient.levels.iter().zip(&patient.report.levels) {
+        assert_eq!(meshes.len(), patient.meshes.len());
+        let now = count(meshes);
+        assert!(5 * now < 4 * before, "{now} of {before}: {report:?}");
+        before = now;
+        for (mesh, finest) in meshes.iter().zip(&patient.meshes) {
+            let ratio = mesh.volume_mm3() / finest.volume_mm3();
+            assert!((ratio - 1.0).abs() < 0.02, "{}: {ratio}", mesh.group);
+            let mut edges: Vec<[u32; 2]> = Vec::new();
+            for [a, b, c] in &mesh.triangles {
+                edges.extend([[*a, *b], [*b, *c], [*c, *a]]);
+            }
+            edges.sort_unstable();
+            let open = edges
+                .iter()
+                .filter(|[a, b]| edges.binary_search(&[*b, *a]).is_err());
+            assert_eq!(open.count(), 0, "group {}", mesh.group);
+        }
+    }
 }
 
 /// Before smoothing the surface is its voxels' faces, smoothing keeps it within half a voxel along each axis, and after decimation it is

@@ -1,14 +1,15 @@
-//! The pinhole camera and the light beside it, and the projections they imply.
+//! The camera and the light beside it, and the projections they imply.
 
 use hal::{Intrinsics, Pose};
 use nalgebra::{Matrix4, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::RenderError;
+use super::{Optics, RenderError};
 
-/// A pinhole camera somewhere in the scene.
+/// A camera somewhere in the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// The lens.
+    /// The lens. Of one that distorts all planes of the image show the distorted picture: colour blended, ids and depth from the
+    /// nearest pixel of a pinhole's image.
     pub intrinsics: Intrinsics,
     /// Pose in the scene frame: x right, y down, z along the view.
     pub camera_in_scene: Pose,
@@ -16,6 +17,8 @@ pub struct Camera {
     pub near_m: f64,
     /// Nothing further than this along z is drawn, m.
     pub far_m: f64,
+    /// What else lies between scene and picture.
+    pub optics: Optics,
 }
 
 /// The light guide of an endoscope: a spot with a place of its own, so that all cameras see the scene in the same light.
@@ -115,10 +118,15 @@ impl Camera {
                 "the planes must satisfy 0 < near_m < far_m",
             ));
         }
+        if !self.optics.can_be() {
+            return Err(RenderError::Camera(
+                "vignette, blood and fog must be in [0, 1], exposure in (0, 1000], noise and smoke in [0, 1000]",
+            ));
+        }
         Ok(())
     }
 
-    /// Clip coordinates (y up, depth 0 at the near plane, 1 at the far one) from camera coordinates.
+    /// Clip coordinates (y up, depth 0 at the near plane, 1 at the far one) of the pinhole from camera coordinates.
     pub(super) fn clip_from_camera(&self) -> Matrix4<f64> {
         let lens = &self.intrinsics;
         let (width, height) = (f64::from(lens.width), f64::from(lens.height));
@@ -207,6 +215,7 @@ mod tests {
             camera_in_scene: Pose::identity(),
             near_m: 0.01,
             far_m: 0.5,
+            optics: Optics::CLEAN,
         };
         for (z, depth) in [(0.01, 0.0), (0.5, 1.0)] {
             let clip = camera.clip_from_camera() * nalgebra::Vector4::new(0.0, 0.0, z, 1.0);

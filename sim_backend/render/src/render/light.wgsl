@@ -14,6 +14,8 @@ struct Surface {
     open: f32,
     // How far red light travels under the surface: 1 for flesh, 0 for metal and paint.
     flesh: f32,
+    // Share of red light that comes through from the far side.
+    through: f32,
 }
 
 // The light that reaches a point: towards it, how much, and what share of it is not in shadow.
@@ -96,9 +98,10 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     let n_l = dot(s.normal, l);
     let albedo = s.base_colour * (1.0 - s.metallic);
     // Red light travels further under the surface and comes out beyond the terminator, and into shadows.
-    let wrap = s.flesh * vec3f(0.34, 0.09, 0.06);
+    var wrap = s.flesh * vec3f(0.34, 0.09, 0.06);
     var n_l_of = vec3f(n_l);
     if FINE {
+        wrap += s.flesh * s.through * vec3f(0.30, 0.05, 0.03);
         // Relief that is smaller than the way of the light under the surface does not shade it: red least of all.
         n_l_of = mix(n_l_of, vec3f(dot(s.mesh_normal, l)), s.flesh * vec3f(0.75, 0.40, 0.25));
     }
@@ -133,7 +136,12 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     let through = 1.0 - s.wetness * fresnel(film_n_v, film_f0).x;
 
     let lit = mix(vec3f(beam.lit), vec3f(sqrt(beam.lit), beam.lit, beam.lit), s.flesh);
-    let direct = beam.power * (lit * diffuse * through + beam.lit * (body * through + film));
+    var direct = beam.power * (lit * diffuse * through + beam.lit * (body * through + film));
+    if FINE {
+        // From behind, through what is thin: its own shadow is no shadow, and red goes furthest.
+        let behind = max((0.2 - dot(s.mesh_normal, l)) / 1.2, 0.0);
+        direct += beam.power * s.flesh * s.through * behind * albedo * vec3f(0.9, 0.30, 0.22);
+    }
     // Where the beam does not reach, what it lights nearby shines less.
     let near = 0.55 + 0.45 * beam.lit;
     let mirror = surroundings(reflect(-v, s.normal), beam, roughness);
@@ -142,15 +150,8 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     return direct + near * s.open * (frame.ambient * albedo * sky * through + mirror * gloss * through + sheen);
 }
 
-// sRGB's encoding, done here since samples of a pixel are then cheaper to keep.
-fn encoded(x: vec3f) -> vec3f {
-    return select(1.055 * pow(x, vec3f(1.0 / 2.4)) - 0.055, 12.92 * x, x < vec3f(0.0031308));
-}
-
-// In the colour of the light. Filmic response: a toe, a middle grey that stays where it is, a long shoulder. The three numbers were fitted to
-// 0.02 -> 0.012, 0.18 -> 0.20, 1 -> 0.72, 4 -> 0.935, with the ends fixed at 0 and 1.
+// In the colour of the light; see `filmic`.
 fn exposed(linear: vec3f) -> vec4f {
-    let coloured = linear * vec3f(1.0 + frame.warmth, 1.0, 1.0 - frame.warmth);
-    let x = max(coloured, vec3f(0.0));
-    return vec4f(encoded(x * (x + 0.0593) / (x * (x + 0.3833) + 0.1126)), 1.0);
+    let coloured = frame.exposure * linear * vec3f(1.0 + frame.warmth, 1.0, 1.0 - frame.warmth);
+    return vec4f(encoded(filmic(coloured)), 1.0);
 }

@@ -9,8 +9,12 @@ mod bake;
 mod camera;
 mod error;
 mod gpu;
+mod lens;
 mod maps;
+mod occlusion;
+mod optics;
 mod pipelines;
+mod rays;
 mod records;
 mod scene;
 mod station;
@@ -22,14 +26,16 @@ use hal::{CameraFrame, Intrinsics, Mesh, Pose};
 
 pub use camera::{Camera, Light, look_at};
 pub use error::RenderError;
+pub use optics::Optics;
 
 use crate::visual::{Backdrop, Visual};
 use bake::Paints;
 use gpu::Gpu;
+use lens::LensPass;
 use pipelines::{Pipelines, SHADOW_MAP_PX};
 use records::{Eye, Records, View};
 use scene::Scene;
-use station::{Station, Stations};
+use station::{Plot, Station, Stations};
 
 /// Renderers are opened one after the other: a driver may hang when several threads do it at the same time.
 static OPENING: Mutex<()> = Mutex::new(());
@@ -64,10 +70,18 @@ pub enum Shading {
     #[default]
     Full,
     /// For pictures that people look at: edges smoothed over the pixel, tissue with vessels under a wet membrane, into which light
-    /// seeps. A software rasteriser takes nearly twice as long.
+    /// seeps and through which it comes where it is thin, hollows that the light from all around does not reach (both baked by rays
+    /// when it is chosen first). A software rasteriser takes nearly twice as long.
     Fine,
     /// Painted colours in the same light without any of these, for about half the cost.
     Plain,
+}
+
+impl Shading {
+    /// Whether pictures show the cameras' [`Optics`]; distortion they show always.
+    const fn shows_optics(self) -> bool {
+        matches!(self, Self::Full | Self::Fine)
+    }
 }
 
 /// Draws one fixed set of visuals, which may move and bend, from any number of cameras.
@@ -77,6 +91,7 @@ pub struct Renderer {
     pipelines: Pipelines,
     light: Records,
     stations: Stations,
+    lens_pass: Option<LensPass>,
     backdrop: Backdrop,
     backdrop_layer: f32,
     paints: Paints,
@@ -109,7 +124,10 @@ impl Renderer {
         let things = visuals.iter().map(|visual| &visual.material);
         let materials = things.chain([&backdrop.material]);
         let paints = Paints::new(&gpu.device, &gpu.queue, materials, shading);
-        let scene = Scene::upload(&gpu.device, visuals, &paints)?;
+        let mut scene = Scene::upload(&gpu.device, visuals, &paints)?;
+        if shading == Shading::Fine {
+            scene.bake(&gpu.queue);
+        }
         let pipelines = Pipelines::new(&gpu.device, &paints, shading);
         let light = Records::new(&gpu.device, &pipelines.records, scene.part_count());
         gpu.finish()?;
@@ -119,6 +137,7 @@ impl Renderer {
             pipelines,
             light,
             stations: Stations::default(),
+            lens_pass: None,
             backdrop: *backdrop,
             backdrop_layer: paints.layer(&backdrop.material),
             paints,
@@ -138,6 +157,9 @@ impl Renderer {
             self.shading = shading;
             let Gpu { device, queue, .. } = &self.gpu;
             self.paints.set_shading(device, queue, shading);
+            if shading == Shading::Fine {
+                self.scene.bake(queue);
+            }
             self.pipelines.set_shading(device, shading);
         }
     }
@@ -233,10 +255,15 @@ impl Renderer {
             camera.check(self.gpu.size_px_max)?;
             planes.check(&camera.intrinsics)?;
         }
-        let lenses = views.iter().map(|(camera, _)| &camera.intrinsics);
-        let parts = self.scene.part_count();
-        let room = (&self.pipelines.records, parts, self.shading);
-        self.stations.fit(&self.gpu.device, room, lenses);
+        let cameras = views.iter().map(|(camera, _)| camera);
+        let plot = Plot {
+            device: &self.gpu.device,
+            records: &self.pipelines.records,
+            parts: self.scene.part_count(),
+            shading: self.shading,
+            size_px_max: self.gpu.size_px_max,
+        };
+        self.stations.fit(&plot, cameras, &mut self.lens_pass)?;
         let mut submissions = Vec::with_capacity(views.len());
         for (index, (camera, _)) in views.iter().enumerate() {
             submissions.push(self.submit(poses, light, camera, index)?);
@@ -270,16 +297,27 @@ impl Renderer {
             self.pipelines
                 .draw_shadow_map(&mut encoder, &self.scene, &self.light);
         }
+        let Station { targets, records } = station;
+        let lens = targets.lens.as_ref();
+        let intrinsics = &camera.intrinsics;
+        let pinhole = Camera {
+            intrinsics: lens.map_or(*intrinsics, |lens| lens.pinhole(intrinsics)),
+            ..*camera
+        };
         let eye = Eye::camera(
             light,
             View {
-                camera,
+                camera: &pinhole,
                 backdrop: &self.backdrop,
                 backdrop_layer: self.backdrop_layer,
                 shadow_map_px: SHADOW_MAP_PX,
+                exposure: if self.shading.shows_optics() {
+                    camera.optics.exposure
+                } else {
+                    1.0
+                },
             },
         );
-        let Station { targets, records } = station;
         self.scene.place(queue, records, poses, &eye)?;
         self.pipelines.draw_labels(
             &mut targets.begin_labels(&mut encoder),
@@ -291,6 +329,10 @@ impl Renderer {
             &self.scene,
             records,
         );
+        if let (Some(lens), Some(pass)) = (lens, &self.lens_pass) {
+            lens.place(queue, camera, self.shading.shows_optics());
+            pass.draw(&mut targets.begin_picture(&mut encoder), lens);
+        }
         targets.copy(&mut encoder);
         let submission = queue.submit([encoder.finish()]);
         targets.ask();

@@ -2,10 +2,10 @@
 
 use super::bake::{PATTERN_SIZE_M, Paints};
 use super::records::{self, Records};
-use super::scene::{Scene, UNROLLED_BYTES, VERTEX_BYTES};
+use super::scene::{BAKED_BYTES, Scene, UNROLLED_BYTES, VERTEX_BYTES};
 use super::targets::{
     COLOUR_FORMAT, DEPTH_FORMAT, FAR, INSTANCE_FORMAT, RANGE_FORMAT, colour_samples,
-    depth_attachment, texture,
+    depth_attachment, texture, whole,
 };
 use super::{Shading, maps};
 use crate::visual::Pattern;
@@ -41,6 +41,7 @@ impl Pipelines {
                 concat!(
                     include_str!("scene.wgsl"),
                     include_str!("noise.wgsl"),
+                    include_str!("tone.wgsl"),
                     include_str!("light.wgsl"),
                     include_str!("surface.wgsl")
                 )
@@ -142,10 +143,14 @@ impl Colours {
     ) -> Self {
         let pipeline =
             |vertex, fragment| colour_pipeline(device, module, layout, shading, [vertex, fragment]);
+        let vertex = match shading {
+            Shading::Fine => "baked_vertex",
+            Shading::Full | Shading::Plain => "scene_vertex",
+        };
         Self {
-            patterned: pipeline("scene_vertex", "patterned_fragment"),
-            smooth: pipeline("scene_vertex", "smooth_fragment"),
-            brushed: pipeline("scene_vertex", "brushed_fragment"),
+            patterned: pipeline(vertex, "patterned_fragment"),
+            smooth: pipeline(vertex, "smooth_fragment"),
+            brushed: pipeline(vertex, "brushed_fragment"),
             backdrop: pipeline(BACKDROP, "backdrop_fragment"),
         }
     }
@@ -174,6 +179,12 @@ const UNROLLED: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
     array_stride: UNROLLED_BYTES,
     step_mode: wgpu::VertexStepMode::Vertex,
     attributes: &wgpu::vertex_attr_array![2 => Float32x2],
+};
+
+const BAKED: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
+    array_stride: BAKED_BYTES,
+    step_mode: wgpu::VertexStepMode::Vertex,
+    attributes: &wgpu::vertex_attr_array![3 => Float32x2],
 };
 
 /// The vertex function that needs no mesh.
@@ -282,10 +293,10 @@ fn colour_pipeline(
             module,
             entry_point: Some(vertex),
             compilation_options: compilation_options.clone(),
-            buffers: if behind {
-                &[]
-            } else {
-                &[Some(VERTEX), Some(UNROLLED)]
+            buffers: match (behind, shading) {
+                (true, _) => &[],
+                (false, Shading::Fine) => &[Some(VERTEX), Some(UNROLLED), Some(BAKED)],
+                (false, Shading::Full | Shading::Plain) => &[Some(VERTEX), Some(UNROLLED)],
             },
         },
         primitive: culled(),
@@ -315,13 +326,4 @@ fn culled() -> wgpu::PrimitiveState {
         cull_mode: Some(wgpu::Face::Back),
         ..Default::default()
     }
-}
-
-/// A colour target that takes what is drawn as it is.
-const fn whole(format: wgpu::TextureFormat) -> Option<wgpu::ColorTargetState> {
-    Some(wgpu::ColorTargetState {
-        format,
-        blend: None,
-        write_mask: wgpu::ColorWrites::ALL,
-    })
 }

@@ -10,7 +10,7 @@ use crate::visual::Backdrop;
 pub(super) const OBJECT_BYTES: usize = 112;
 
 /// Bytes of the frame record, see `scene.wgsl`.
-const FRAME_BYTES: usize = 304;
+const FRAME_BYTES: usize = 320;
 
 /// The buffers of one eye.
 pub(super) struct Records {
@@ -90,6 +90,8 @@ pub(super) struct View<'a> {
     pub(super) backdrop: &'a Backdrop,
     pub(super) backdrop_layer: f32,
     pub(super) shadow_map_px: u32,
+    /// Factor of the light.
+    pub(super) exposure: f64,
 }
 
 impl<'a> Eye<'a> {
@@ -153,6 +155,7 @@ impl View<'_> {
         put_f64(bytes, &[light.warmth]);
         put_f64(bytes, &[lens.cx, lens.cy, 1.0 / lens.fx, 1.0 / lens.fy]);
         put_matrix(bytes, &self.camera.camera_in_scene.to_homogeneous());
+        put_f64(bytes, &[self.exposure]);
     }
 }
 
@@ -161,11 +164,12 @@ pub(super) fn put(bytes: &mut Vec<u8>, values: &[f32]) {
     bytes.extend(values.iter().flat_map(|value| value.to_ne_bytes()));
 }
 
+/// The same, rounded.
 #[expect(
     clippy::cast_possible_truncation,
     reason = "the device computes in single precision"
 )]
-fn put_f64(bytes: &mut Vec<u8>, values: &[f64]) {
+pub(super) fn put_f64(bytes: &mut Vec<u8>, values: &[f64]) {
     bytes.extend(
         values
             .iter()

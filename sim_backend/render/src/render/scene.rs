@@ -6,6 +6,7 @@ use wgpu::util::DeviceExt;
 
 use super::RenderError;
 use super::bake::Paints;
+use super::occlusion::{self, Baked};
 use super::records::{Eye, OBJECT_BYTES, Records, put, put_matrix};
 use crate::visual::{Material, Pattern, Visual};
 
@@ -14,6 +15,9 @@ pub(super) const VERTEX_BYTES: u64 = 24;
 
 /// Bytes of one place on a surface, see `unrolled`.
 pub(super) const UNROLLED_BYTES: u64 = 8;
+
+/// Bytes of what is baked into a vertex, see [`Baked`].
+pub(super) const BAKED_BYTES: u64 = 8;
 
 /// One mesh inside the shared buffers.
 struct Part {
@@ -33,7 +37,10 @@ struct Part {
 pub(super) struct Scene {
     vertices: wgpu::Buffer,
     unrolled: wgpu::Buffer,
+    baked: wgpu::Buffer,
     indices: wgpu::Buffer,
+    /// What is to be baked once it is wanted.
+    unbaked: Option<Vec<Visual>>,
     parts: Vec<Part>,
     order: Vec<(f64, u32)>,
     bytes: Vec<u8>,
@@ -45,7 +52,7 @@ impl Scene {
         visuals: &[Visual],
         paints: &Paints,
     ) -> Result<Self, RenderError> {
-        let (mut vertices, mut places) = (Vec::new(), Vec::new());
+        let (mut vertices, mut places, mut baked) = (Vec::new(), Vec::new(), Vec::new());
         let mut indices = Vec::new();
         let mut parts = Vec::with_capacity(visuals.len());
         let (mut vertex_count, mut index_count) = (0_u32, 0_u32);
@@ -66,6 +73,7 @@ impl Scene {
             put_vertices(&mut vertices, &visual.mesh);
             for (position, normal) in visual.mesh.positions.iter().zip(&visual.mesh.normals) {
                 put(&mut places, &unrolled(position, normal));
+                put_baked(&mut baked, &Baked::OPEN);
             }
             indices.extend(
                 visual
@@ -78,6 +86,7 @@ impl Scene {
         // An empty buffer can't be bound.
         vertices.resize(vertices.len().max(64), 0);
         places.resize(places.len().max(64), 0);
+        baked.resize(baked.len().max(64), 0);
         indices.resize(indices.len().max(64), 0);
         let filled = |label, contents: &[u8], usage| {
             device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
@@ -93,11 +102,28 @@ impl Scene {
                 wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::VERTEX,
             ),
             unrolled: filled("unrolled", &places, wgpu::BufferUsages::VERTEX),
+            baked: filled(
+                "baked",
+                &baked,
+                wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::VERTEX,
+            ),
+            unbaked: Some(visuals.to_vec()),
             indices: filled("indices", &indices, wgpu::BufferUsages::INDEX),
             order: Vec::with_capacity(parts.len()),
             bytes: Vec::with_capacity(OBJECT_BYTES * parts.len().max(2)),
             parts,
         })
+    }
+
+    /// Bakes what is not baked yet into the vertices, as their meshes were when they were uploaded.
+    pub(super) fn bake(&mut self, queue: &wgpu::Queue) {
+        if let Some(visuals) = self.unbaked.take() {
+            self.bytes.clear();
+            for baked in occlusion::bake(&visuals) {
+                put_baked(&mut self.bytes, &baked);
+            }
+            queue.write_buffer(&self.baked, 0, &self.bytes);
+        }
     }
 
     /// Moves the vertices of the visual `index` to where `mesh` has them; the triangles stay.
@@ -180,6 +206,7 @@ impl Scene {
     ) {
         pass.set_vertex_buffer(0, self.vertices.slice(..));
         pass.set_vertex_buffer(1, self.unrolled.slice(..));
+        pass.set_vertex_buffer(2, self.baked.slice(..));
         pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint32);
         let drawn = self
             .order
@@ -265,6 +292,10 @@ fn put_vertices(bytes: &mut Vec<u8>, mesh: &Mesh) {
         put(bytes, position);
         put(bytes, normal);
     }
+}
+
+fn put_baked(bytes: &mut Vec<u8>, baked: &Baked) {
+    put(bytes, &[baked.open, baked.through]);
 }
 
 /// Vertex and index counts of a mesh that is safe to draw.

@@ -36,6 +36,8 @@ struct Frame {
     // Principal point, pixels, and one over the focal lengths.
     lens: vec4f,
     scene_from_camera: mat4x4f,
+    // Factor of the light that the sensor collects.
+    exposure: f32,
 }
 
 struct Object {
@@ -70,6 +72,8 @@ struct Varying {
     // Where on its surface the point is, m; it stays the same when the surface is deformed.
     @location(3) unrolled: vec2f,
     @location(4) @interpolate(flat) object: u32,
+    // How open it is to the light from all around, and how much light comes through it.
+    @location(5) baked: vec2f,
 }
 
 @vertex
@@ -80,7 +84,22 @@ fn scene_vertex(
     @builtin(instance_index) object: u32,
 ) -> Varying {
     let in_camera = objects[object].camera_from_object * vec4f(position, 1.0);
-    return Varying(frame.clip_from_camera * in_camera, in_camera.xyz, position, normal, unrolled, object);
+    return Varying(
+        frame.clip_from_camera * in_camera, in_camera.xyz, position, normal, unrolled, object, vec2f(1.0, 0.0)
+    );
+}
+
+// The same with what was baked into the vertex.
+@vertex
+fn baked_vertex(
+    @location(0) position: vec3f,
+    @location(1) normal: vec3f,
+    @location(2) unrolled: vec2f,
+    @location(3) baked: vec2f,
+    @builtin(instance_index) object: u32,
+) -> Varying {
+    let in_camera = objects[object].camera_from_object * vec4f(position, 1.0);
+    return Varying(frame.clip_from_camera * in_camera, in_camera.xyz, position, normal, unrolled, object, baked);
 }
 
 struct Seen {

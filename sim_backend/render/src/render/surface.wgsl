@@ -44,6 +44,10 @@ fn patterned_fragment(in: Varying) -> @location(0) vec4f {
     s.wetness = object.wetness;
     s.open = painted.a;
     s.flesh = min(2.0 * object.wetness, 1.0);
+    if FINE {
+        s.open *= in.baked.x;
+        s.through = in.baked.y;
+    }
     return exposed(shade(s, in.position));
 }
 
@@ -58,7 +62,7 @@ fn smooth_fragment(in: Varying) -> @location(0) vec4f {
     s.metallic = object.metallic;
     s.roughness = object.roughness;
     s.wetness = object.wetness;
-    s.open = 1.0;
+    s.open = select(1.0, in.baked.x, FINE);
     return exposed(shade(s, in.position));
 }
 
@@ -86,7 +90,7 @@ fn brushed_fragment(in: Varying) -> @location(0) vec4f {
     s.film_normal = s.normal;
     s.metallic = object.metallic;
     s.wetness = object.wetness;
-    s.open = 1.0;
+    s.open = select(1.0, in.baked.x, FINE);
     return exposed(shade(s, in.position));
 }
 

@@ -1,7 +1,8 @@
 //! The images on the device and the way they come back: one staging buffer, mapped once a frame.
 //!
 //! Ids and range are drawn first, with one sample a pixel and no blending. Colour follows in a pass of its own: smoothed
-//! over the pixel by several samples, or with one sample on the first pass's depth.
+//! over the pixel by several samples, or with one sample on the first pass's depth. Where there is a lens these are images of
+//! its own, and a last pass makes the picture of them.
 
 use hal::Intrinsics;
 use hal::count::index;
@@ -10,6 +11,7 @@ use super::Planes;
 use super::RenderError;
 use super::Shading;
 use super::gpu::Gpu;
+use super::lens::{Lens, LensPass, Window};
 
 /// Colour as the frame holds it, encoded by the shader, with a fourth byte.
 pub(super) const COLOUR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
@@ -37,11 +39,12 @@ pub(super) const fn colour_samples(shading: Shading) -> u32 {
     }
 }
 
-/// Everything of one image size.
+/// Everything of one image size, and of one distortion.
 pub(super) struct Targets {
-    width: u32,
-    height: u32,
+    intrinsics: Intrinsics,
     shading: Shading,
+    /// What the picture is seen through, if not by a clean pinhole.
+    pub(super) lens: Option<Lens>,
     colour: Plane,
     instance: Plane,
     range: Plane,
@@ -52,8 +55,14 @@ pub(super) struct Targets {
 }
 
 impl Targets {
-    pub(super) fn new(device: &wgpu::Device, lens: &Intrinsics, shading: Shading) -> Self {
-        let (width, height) = (lens.width, lens.height);
+    /// For pictures of `intrinsics`, with the pass of a lens that shows `lens` of the scene if there is one.
+    pub(super) fn new(
+        device: &wgpu::Device,
+        intrinsics: &Intrinsics,
+        shading: Shading,
+        lens: Option<(&LensPass, Window)>,
+    ) -> Self {
+        let (width, height) = (intrinsics.width, intrinsics.height);
         let mut end = 0;
         let mut plane = |label, format, pixel_bytes: u32| {
             let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
@@ -74,10 +83,20 @@ impl Targets {
         let colour = plane("colour", COLOUR_FORMAT, 4);
         let instance = plane("instance", INSTANCE_FORMAT, 1);
         let range = plane("range", RANGE_FORMAT, 4);
+        let lens = lens.map(|(pass, window)| Lens::new(device, pass, window));
+        let image = lens
+            .as_ref()
+            .map_or(*intrinsics, |lens| lens.window.intrinsics);
         let drawn = |label, format, samples| {
             let usage = wgpu::TextureUsages::RENDER_ATTACHMENT;
-            sampled(device, label, [width, height, samples], format, usage)
-                .create_view(&wgpu::TextureViewDescriptor::default())
+            sampled(
+                device,
+                label,
+                [image.width, image.height, samples],
+                format,
+                usage,
+            )
+            .create_view(&wgpu::TextureViewDescriptor::default())
         };
         let depth = drawn("depth", DEPTH_FORMAT, 1);
         let per_pixel = colour_samples(shading);
@@ -94,9 +113,9 @@ impl Targets {
             mapped_at_creation: false,
         });
         Self {
-            width,
-            height,
+            intrinsics: *intrinsics,
             shading,
+            lens,
             colour,
             instance,
             range,
@@ -106,8 +125,41 @@ impl Targets {
         }
     }
 
-    pub(super) fn fits(&self, lens: &Intrinsics, shading: Shading) -> bool {
-        (self.width, self.height, self.shading) == (lens.width, lens.height, shading)
+    /// Whether pictures of `intrinsics` can be taken here, with a lens or not.
+    pub(super) fn fits(&self, intrinsics: &Intrinsics, shading: Shading, has_lens: bool) -> bool {
+        let size = |of: &Intrinsics| (of.width, of.height);
+        let straight = |of: &Intrinsics| of.distortion.is_none();
+        self.shading == shading
+            && self.lens.is_some() == has_lens
+            && size(&self.intrinsics) == size(intrinsics)
+            && (self.intrinsics == *intrinsics
+                || (straight(&self.intrinsics) && straight(intrinsics)))
+    }
+
+    /// Colour, ids and range as they are drawn: the picture's, or what the lens sees.
+    fn drawn(&self) -> [&wgpu::TextureView; 3] {
+        match &self.lens {
+            Some(lens) => lens.seen.each_ref(),
+            None => self.picture(),
+        }
+    }
+
+    const fn picture(&self) -> [&wgpu::TextureView; 3] {
+        [&self.colour.view, &self.instance.view, &self.range.view]
+    }
+
+    /// Starts the pass that makes the picture of what the lens sees, after [`Self::begin_colour`].
+    pub(super) fn begin_picture<'pass>(
+        &self,
+        encoder: &'pass mut wgpu::CommandEncoder,
+    ) -> wgpu::RenderPass<'pass> {
+        let nothing = wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT);
+        let planes = self.picture().map(|view| Some(attachment(view, nothing)));
+        encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("picture"),
+            color_attachments: &planes,
+            ..Default::default()
+        })
     }
 
     /// Starts the pass that draws ids and range, 0 where nothing is.
@@ -120,11 +172,12 @@ impl Targets {
             Some(_) => wgpu::StoreOp::Discard,
             None => wgpu::StoreOp::Store,
         };
+        let [_, instance, range] = self.drawn();
         encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("labels"),
             color_attachments: &[
-                Some(attachment(&self.instance.view, nothing)),
-                Some(attachment(&self.range.view, nothing)),
+                Some(attachment(instance, nothing)),
+                Some(attachment(range, nothing)),
             ],
             depth_stencil_attachment: Some(depth_attachment(&self.depth, FAR, store)),
             ..Default::default()
@@ -137,17 +190,15 @@ impl Targets {
         encoder: &'pass mut wgpu::CommandEncoder,
     ) -> wgpu::RenderPass<'pass> {
         let black = wgpu::LoadOp::Clear(wgpu::Color::BLACK);
+        let [image, ..] = self.drawn();
         let (colour, depth) = match &self.samples {
             Some([colour, depth]) => {
                 let mut smoothed = attachment(colour, black);
-                smoothed.resolve_target = Some(&self.colour.view);
+                smoothed.resolve_target = Some(image);
                 smoothed.ops.store = wgpu::StoreOp::Discard;
                 (smoothed, (depth, FAR))
             }
-            None => (
-                attachment(&self.colour.view, black),
-                (&self.depth, wgpu::LoadOp::Load),
-            ),
+            None => (attachment(image, black), (&self.depth, wgpu::LoadOp::Load)),
         };
         let (depth, load) = depth;
         encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -195,15 +246,13 @@ impl Targets {
             .staging
             .get_mapped_range(..)
             .map_err(|error| RenderError::Gpu(error.to_string()))?;
-        let width = self.width as usize;
+        let width = self.intrinsics.width as usize;
         for (row, out) in self
             .colour
             .rows(&mapped)
             .zip(planes.colour.chunks_exact_mut(3 * width))
         {
-            for (texel, rgb) in row.chunks_exact(4).zip(out.chunks_exact_mut(3)) {
-                rgb.copy_from_slice(&texel[..3]);
-            }
+            without_fourths(row, out);
         }
         for (row, out) in self
             .instance
@@ -227,6 +276,21 @@ impl Targets {
     }
 }
 
+/// Copies texels of four bytes without their fourth, four texels at a time: whole texels, each over the fourth byte of the one before.
+fn without_fourths(texels: &[u8], rgb: &mut [u8]) {
+    let (fours, rest) = texels.as_chunks::<16>();
+    let (packed, last) = rgb.as_chunks_mut::<12>();
+    for (four, packed) in fours.iter().zip(packed) {
+        packed[0..4].copy_from_slice(&four[0..4]);
+        packed[3..7].copy_from_slice(&four[4..8]);
+        packed[6..10].copy_from_slice(&four[8..12]);
+        packed[9..12].copy_from_slice(&four[12..15]);
+    }
+    for (texel, rgb) in rest.chunks_exact(4).zip(last.chunks_exact_mut(3)) {
+        rgb.copy_from_slice(&texel[..3]);
+    }
+}
+
 impl Plane {
     fn rows<'a>(&self, mapped: &'a [u8]) -> impl Iterator<Item = &'a [u8]> {
         let row_bytes = self.row_bytes as usize;
@@ -234,6 +298,15 @@ impl Plane {
             .chunks_exact(self.pitch_bytes as usize)
             .map(move |row| &row[..row_bytes])
     }
+}
+
+/// A colour target that takes what is drawn as it is.
+pub(super) const fn whole(format: wgpu::TextureFormat) -> Option<wgpu::ColorTargetState> {
+    Some(wgpu::ColorTargetState {
+        format,
+        blend: None,
+        write_mask: wgpu::ColorWrites::ALL,
+    })
 }
 
 /// A single-sample texture.
@@ -298,5 +371,21 @@ pub(super) const fn depth_attachment(
         view,
         depth_ops: Some(wgpu::Operations { load, store }),
         stencil_ops: None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::without_fourths;
+
+    #[test]
+    fn every_fourth_byte_is_left_out() {
+        for width in 0..13_u8 {
+            let texels: Vec<u8> = (0..4 * width).collect();
+            let mut rgb = vec![0; 3 * usize::from(width)];
+            without_fourths(&texels, &mut rgb);
+            let kept: Vec<u8> = (0..4 * width).filter(|byte| byte % 4 != 3).collect();
+            assert_eq!(rgb, kept);
+        }
     }
 }

@@ -3,9 +3,10 @@
 #![expect(clippy::cast_precision_loss, reason = "pixel counts are small")]
 
 mod labels;
+mod lens;
 mod shading;
 
-use hal::{CameraFrame, Intrinsics, Mesh, Pose};
+use hal::{CameraFrame, Distortion, Intrinsics, Mesh, Pose};
 use nalgebra::{Point3, Translation3, Vector3};
 
 use super::*;
@@ -52,6 +53,7 @@ fn tilted_camera() -> Camera {
             fy: 88.0,
             cx: 39.5,
             cy: 36.25,
+            distortion: Distortion::NONE,
         },
         camera_in_scene: look_at(
             Point3::new(0.05, -0.08, 0.11),
@@ -60,6 +62,7 @@ fn tilted_camera() -> Camera {
         ),
         near_m: 0.01,
         far_m: 1.0,
+        optics: Optics::CLEAN,
     }
 }
 
@@ -155,6 +158,7 @@ fn endoscope(size_px: u32) -> Camera {
         camera_in_scene: look_at(eye, Point3::new(0.006, 0.002, 0.006), Vector3::z()),
         near_m: 0.01,
         far_m: 0.5,
+        optics: Optics::CLEAN,
     }
 }
 
@@ -223,12 +227,14 @@ fn the_mask_of_a_box_is_exact() {
         fy: 110.0,
         cx: 30.0,
         cy: 25.0,
+        distortion: Distortion::NONE,
     };
     let camera = Camera {
         intrinsics: lens,
         camera_in_scene: Pose::identity(),
         near_m: 0.01,
         far_m: 1.0,
+        optics: Optics::CLEAN,
     };
     let block = Visual::new(
         "box",

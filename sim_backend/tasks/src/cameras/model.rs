@@ -28,7 +28,7 @@ impl SceneModel {
         }
         Self {
             flap: DrawnFlap::new(&*scene, &visuals),
-            views: View::of_episode(task, seed),
+            views: View::of_episode(task, seed, &task.drawn(seed)),
             scene,
             visuals,
         }

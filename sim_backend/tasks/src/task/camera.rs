@@ -2,8 +2,8 @@
 
 use core::f64::consts::PI;
 
-use hal::Intrinsics;
 use hal::config::{ConfigError, Source};
+use hal::{Distortion, Intrinsics};
 use nalgebra::Vector3;
 use serde::Deserialize;
 
@@ -45,6 +45,9 @@ pub struct CameraConfig {
     pub height: u32,
     /// Vertical field of view, rad.
     pub vertical_fov_rad: f64,
+    /// Distortion of the lens, `k1`, `k2`, `p1`, `p2` of [`Distortion`]; none if not given. The field of view is the one without.
+    #[serde(default)]
+    pub distortion: [f64; 4],
     /// Where the lens is, in the frame of the mount, m.
     pub eye_m: [f64; 3],
     /// The point in the middle of the image, in the frame of the mount, m.
@@ -57,7 +60,10 @@ impl CameraConfig {
     /// The lens.
     #[must_use]
     pub fn intrinsics(&self) -> Intrinsics {
-        Intrinsics::from_vertical_fov(self.width, self.height, self.vertical_fov_rad)
+        Intrinsics {
+            distortion: Distortion::new(self.distortion),
+            ..Intrinsics::from_vertical_fov(self.width, self.height, self.vertical_fov_rad)
+        }
     }
 
     /// The right eye beside this camera, which is the left one: `baseline_m` to its right, with the same point in the middle.
@@ -128,6 +134,32 @@ impl CameraConfig {
         }
     }
 
+    /// The numbers must be those of a lens that shows nothing twice.
+    fn check_distortion(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
+        for (place, value) in self.distortion.iter().enumerate() {
+            source.check_range(&format!("{key}.{place}"), *value, -5.0, 5.0)?;
+        }
+        let half = |size: u32, focal: f64| 0.5 * f64::from(size) / focal;
+        let lens = self.intrinsics();
+        // Beyond, the pinhole's image that the picture is made from would be too large.
+        let most = [
+            2.0 * half(lens.width, lens.fx),
+            2.0 * half(lens.height, lens.fy),
+        ];
+        let reaches = |field: [[f64; 2]; 2]| {
+            let mut sides = field.iter().zip(most);
+            sides.all(|([low, high], most)| high - low < 1.9 * most)
+        };
+        if lens.field().is_some_and(reaches) {
+            return Ok(());
+        }
+        Err(source.out_of_range(
+            key,
+            &format!("{:?}", self.distortion),
+            "those of a lens that shows nothing twice and widens the picture's field less than 1.9 times",
+        ))
+    }
+
     /// Checks every number; `index` counts the cameras of the file from 0.
     fn check(&self, source: &Source, index: usize) -> Result<(), ConfigError> {
         let key = |name: &str| format!("camera.{index}.{name}");
@@ -144,6 +176,7 @@ impl CameraConfig {
             0.05,
             0.9 * PI,
         )?;
+        self.check_distortion(source, &key("distortion"))?;
         for axis in 0..3 {
             source.check_range(&key(&format!("eye_m.{axis}")), self.eye_m[axis], -2.0, 2.0)?;
             source.check_range(

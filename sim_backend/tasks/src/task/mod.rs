@@ -42,7 +42,7 @@ pub(crate) use judge::{Judge, Monitor, Sight};
 pub use judge::{Outcome, Reason};
 pub use needle_start::NeedleStart;
 pub use patient::{Lie, Patient, patient_file, tissue_material};
-pub use variation::{CannotVary, Drawn, Look, Variation};
+pub use variation::{CannotVary, Drawn, Lens, Look, Variation};
 pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
 pub(crate) use visuals::{scene_poses, scene_visuals};
 

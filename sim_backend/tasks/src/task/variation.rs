@@ -1,4 +1,6 @@
-//! What is drawn anew for each episode beyond the places of things: the needle, the cameras' places, light and colours.
+//! What is drawn anew for each episode beyond the places of things: the needle, the cameras' places, light and colours, lenses.
+
+mod lens;
 
 use std::collections::BTreeMap;
 
@@ -10,6 +12,8 @@ use trocar_world::rng::Rng;
 
 use super::{TaskConfig, TaskScene, View, scene_visuals};
 
+pub use lens::Lens;
+
 /// What can be varied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -20,11 +24,13 @@ pub enum Variation {
     Views,
     /// Light and colours differ within the bounds of [`Look`].
     Light,
+    /// Distortion, vignette, exposure, noise, smoke, blood and condensate differ within the bounds of [`Lens`].
+    Lens,
 }
 
 impl Variation {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Needles, Self::Views, Self::Light];
+    pub const ALL: [Self; 4] = [Self::Needles, Self::Views, Self::Light, Self::Lens];
 
     /// The name on the command line and in results.
     #[must_use]
@@ -33,6 +39,7 @@ impl Variation {
             Self::Needles => "needles",
             Self::Views => "views",
             Self::Light => "light",
+            Self::Lens => "lens",
         }
     }
 }
@@ -54,6 +61,7 @@ const fn refusal(variation: Variation) -> &'static str {
         Variation::Needles => "has no choice of needles",
         Variation::Views => "has its cameras moved by the view already",
         Variation::Light => "has no light",
+        Variation::Lens => "has no lens",
     }
 }
 
@@ -159,6 +167,9 @@ pub struct Drawn {
     /// Light and colours, if they are varied.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light: Option<Look>,
+    /// Lens and sensor of each camera, if they are varied.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub lenses: BTreeMap<String, Lens>,
 }
 
 impl TaskConfig {
@@ -170,7 +181,7 @@ impl TaskConfig {
         let can = |task: &Self, variation| match variation {
             Variation::Needles => task.scene.needles().len() > 1,
             Variation::Views => task.view == View::Train,
-            Variation::Light => true,
+            Variation::Light | Variation::Lens => true,
         };
         for &variation in variations {
             if !can(&self, variation) {
@@ -214,6 +225,15 @@ impl TaskConfig {
                 let names: Vec<_> = visuals.iter().map(|visual| visual.name).collect();
                 Look::draw(seed, &names)
             }),
+            lenses: self
+                .cameras
+                .iter()
+                .filter(|_| varies(Variation::Lens))
+                .map(|camera| {
+                    let lens = Lens::draw(seed, &camera.name, &camera.intrinsics());
+                    (camera.name.clone(), lens)
+                })
+                .collect(),
         }
     }
 

@@ -191,7 +191,12 @@ fn names(spec: &DatasetSpec) -> String {
 fn depth(lens: Option<&Intrinsics>) -> String {
     let described = |it: &Intrinsics| {
         let Intrinsics { fx, fy, cx, cy, .. } = it;
-        format!("through fx {fx}, fy {fy}, cx {cx}, cy {cy}")
+        let bent = if it.distortion.is_none() {
+            String::new()
+        } else {
+            format!(", distortion {:?}", it.distortion.coefficients())
+        };
+        format!("through fx {fx}, fy {fy}, cx {cx}, cy {cy}{bent}")
     };
     lens.map_or_else(|| "left out".to_owned(), described)
 }

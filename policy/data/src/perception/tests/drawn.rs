@@ -1,6 +1,6 @@
 //! Frames of planes and spheres, drawn by hand in double precision.
 
-use hal::{CameraFrame, Intrinsics, Pose};
+use hal::{CameraFrame, Distortion, Intrinsics, Pose};
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
 use crate::perception::{CloudFrame, CropBox, InstanceSet, PerceptionError, Point, back_project};
@@ -14,6 +14,7 @@ fn lens() -> Intrinsics {
         fy: 57.0,
         cx: 22.7,
         cy: 19.1,
+        distortion: Distortion::NONE,
     }
 }
 
@@ -31,8 +32,9 @@ fn ray(
     column: u32,
     row: u32,
 ) -> (Point3<f64>, Vector3<f64>) {
-    let x = (f64::from(column) + 0.5 - lens.cx) / lens.fx;
-    let y = (f64::from(row) + 0.5 - lens.cy) / lens.fy;
+    let [x, y] = lens
+        .ray([f64::from(column) + 0.5, f64::from(row) + 0.5])
+        .unwrap();
     (
         Point3::from(camera_in_scene.translation.vector),
         camera_in_scene.rotation * Vector3::new(x, y, 1.0),
@@ -40,15 +42,35 @@ fn ray(
 }
 
 /// A frame whose every pixel has the depth and instance that `hit` says for its ray.
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "depth images are in single precision"
-)]
 pub(super) fn frame(
     camera_in_scene: Pose,
     hit: impl Fn(&Point3<f64>, &Vector3<f64>) -> Option<(f64, u8)>,
 ) -> CameraFrame {
-    let lens = lens();
+    frame_through(lens(), camera_in_scene, hit)
+}
+
+/// The same through a lens that distorts.
+pub(super) fn distorted_frame(
+    camera_in_scene: Pose,
+    hit: impl Fn(&Point3<f64>, &Vector3<f64>) -> Option<(f64, u8)>,
+) -> CameraFrame {
+    let distortion = Distortion::new([-0.32, 0.11, 0.002, -0.003]);
+    let lens = Intrinsics {
+        distortion,
+        ..lens()
+    };
+    frame_through(lens, camera_in_scene, hit)
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "depth images are in single precision"
+)]
+fn frame_through(
+    lens: Intrinsics,
+    camera_in_scene: Pose,
+    hit: impl Fn(&Point3<f64>, &Vector3<f64>) -> Option<(f64, u8)>,
+) -> CameraFrame {
     let mut frame = CameraFrame::blank(lens);
     frame.camera_in_scene = camera_in_scene;
     for row in 0..lens.height {

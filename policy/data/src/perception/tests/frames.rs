@@ -5,7 +5,7 @@ use core::slice;
 use hal::{CameraFrame, Pose};
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
-use super::drawn::{frame, plane, pose, project, sphere, wide};
+use super::drawn::{distorted_frame, frame, plane, pose, project, sphere, wide};
 use crate::perception::{
     CloudFrame, CloudOptions, CropBox, InstanceSet, Padding, PerceptionError, Point, Refused,
     point_cloud, shows_nothing,
@@ -17,9 +17,12 @@ const ALL: InstanceSet = InstanceSet::ALL;
 #[test]
 fn points_of_a_tilted_plane_lie_in_it() {
     let (through, normal) = (Point3::new(0.0, 0.01, 0.02), Vector3::new(0.2, -0.1, 0.9));
-    let frame = frame(pose(), plane(through, normal));
-    let points = project(&[frame], CloudFrame::Scene, &EVERYTHING, &ALL).unwrap();
-    assert_eq!(points.len(), 48 * 36, "every pixel looks at it");
+    let frames = [
+        frame(pose(), plane(through, normal)),
+        distorted_frame(pose(), plane(through, normal)),
+    ];
+    let points = project(&frames, CloudFrame::Scene, &EVERYTHING, &ALL).unwrap();
+    assert_eq!(points.len(), 2 * 48 * 36, "every pixel looks at it");
     for point in &points {
         let off = (wide(point) - through).dot(&normal.normalize());
         assert!(off.abs() < 1e-7, "{point:?} is {off:e} m off");
@@ -38,6 +41,24 @@ fn sphere_points_are_on_the_visible_side() {
         let from_centre = wide(point) - centre;
         assert!((from_centre.norm() - radius).abs() < 1e-7, "{point:?}");
         assert!(from_centre.dot(&to_camera) > 0.0, "{point:?}");
+    }
+}
+
+/// The plane's points are where straight lines are straight, whatever the lens bends.
+#[test]
+fn a_distorted_pixel_projects_back_to_its_middle() {
+    let frame = distorted_frame(pose(), plane(Point3::origin(), Vector3::z()));
+    let lens = frame.intrinsics;
+    let points = project(&[frame], CloudFrame::Scene, &EVERYTHING, &ALL).unwrap();
+    let middles = (0..lens.height).flat_map(|row| (0..lens.width).map(move |column| (column, row)));
+    for (point, (column, row)) in points.iter().zip(middles) {
+        let seen = pose().inverse() * wide(point);
+        let [x, y] = lens.pixel([seen.x / seen.z, seen.y / seen.z]);
+        let off = (x - f64::from(column) - 0.5).hypot(y - f64::from(row) - 0.5);
+        assert!(
+            off < 1e-4,
+            "column {column}, row {row}: off by {off:e} pixels"
+        );
     }
 }
 

@@ -7,7 +7,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use trocar::session::preview::{self, Preview};
 use trocar::session::run::write_json;
 use trocar::session::{SessionError, anatomy, outputs};
-use trocar_anatomy::build::{Options, Stage};
+use trocar_anatomy::build::{LEVELS_MAX, Options, Stage};
 use trocar_anatomy::surface::Method;
 
 use crate::commands::Done;
@@ -119,6 +119,10 @@ pub(crate) struct BuildArgs {
     /// Fill the groups with tetrahedra too, of a body-centred cubic lattice with cells of this side, mm, 0.5 to 50: tetrahedra.usda.
     #[arg(long, value_name = "MM", value_parser = side_mm)]
     tetrahedra: Option<f64>,
+    /// Make so many coarser levels of detail too, 0 to 4, each with twice the error of the one before: patient-level-1.usda and following, and
+    /// patient-levels.usda with all as variants (LOD).
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=i64::from(LEVELS_MAX)))]
+    levels: u32,
     /// Write what was made, with times and memory of each stage, as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -252,6 +256,7 @@ fn build_options(args: &BuildArgs) -> Options {
         min_island_mm3: args.min_island_mm3,
         measure_stages: args.measure_stages,
         tetrahedra_mm: args.tetrahedra,
+        levels: args.levels,
         ..Options::default()
     }
 }

@@ -11,7 +11,7 @@ use trocar_render::Shading;
 use crate::args::TaskParser;
 use crate::commands::Done;
 use crate::console;
-use crate::scene_args::{Inputs, SceneArgs};
+use crate::scene_args::{Inputs, ScenesArgs};
 
 /// A share of something.
 fn share(text: &str) -> Result<f64, String> {
@@ -33,7 +33,7 @@ pub(crate) struct SheetArgs {
     pub(crate) task: Vec<String>,
     /// The scene.
     #[command(flatten)]
-    pub(crate) scene: SceneArgs,
+    pub(crate) scenes: ScenesArgs,
     /// Random seed: the same seed gives the same run.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
@@ -74,7 +74,7 @@ pub(crate) fn sheet(args: &SheetArgs) -> Done {
         let reason = format!("--out {}: a sheet is FILE.png", args.out.display());
         return Err(SessionError::BadArgument(reason));
     }
-    let inputs = Inputs::new([("--scene", args.scene.scene.as_ref())]);
+    let inputs = Inputs::new([("--scene", args.scenes.scene.scene.as_ref())]);
     let inputs = inputs.and_tasks(&args.task);
     inputs.check(&[("--out", Some(args.out.as_path()))])?;
     let options = SheetOptions {
@@ -83,7 +83,7 @@ pub(crate) fn sheet(args: &SheetArgs) -> Done {
         } else {
             args.task.clone()
         },
-        scene: args.scene.options(None),
+        scene: args.scenes.options(None),
         out: args.out.clone(),
         seed: args.seed,
         width: args.width,

@@ -57,7 +57,7 @@ fn a_disturbed_and_varied_recording_says_so() {
     let recording = notes.recording.unwrap();
     assert_eq!(
         recording["varied"],
-        serde_json::json!(["needles", "views", "light"])
+        serde_json::json!(["needles", "views", "light", "lens"])
     );
     assert_eq!(
         recording["disturb"],

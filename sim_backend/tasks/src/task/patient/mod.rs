@@ -103,7 +103,7 @@ impl SceneFile {
             let material = tissue_material(part);
             Visual::new(looks::name(part), drawn.clone(), material, instance::ORGAN)
         });
-        organ.chain(around).collect()
+        organ.chain(around).map(Visual::still).collect()
     }
 
     fn lie(&self, patch: &Patch) -> Lie {

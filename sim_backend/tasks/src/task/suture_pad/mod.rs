@@ -184,7 +184,9 @@ impl TaskScene for SuturePad {
         let layers = LAYERS.into_iter().zip(self.pad.meshes());
         let needle = Visual::new("needle", self.needle.mesh(), NEEDLE_STEEL, instance::NEEDLE);
         layers
-            .map(|((name, material), mesh)| Visual::new(name, mesh, material, instance::ORGAN))
+            .map(|((name, material), mesh)| {
+                Visual::new(name, mesh, material, instance::ORGAN).still()
+            })
             .chain([needle])
             .collect()
     }

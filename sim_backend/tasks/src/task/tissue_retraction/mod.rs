@@ -143,8 +143,8 @@ impl TaskScene for TissueRetraction {
         let flap = self.tissue.surface();
         let mark = Patch::new(&flap, [0.0; 2], self.mark_radius_m);
         vec![
-            Visual::new("liver", self.liver.mesh(), LIVER, instance::ORGAN),
-            Visual::new("body", self.liver.floor(), MUSCLE, instance::ORGAN),
+            Visual::new("liver", self.liver.mesh(), LIVER, instance::ORGAN).still(),
+            Visual::new("body", self.liver.floor(), MUSCLE, instance::ORGAN).still(),
             Visual::new("flap", flap.mesh().clone(), SKIN, instance::TISSUE),
             Visual::new("mark", mark.mesh().clone(), RED, instance::MARK),
         ]

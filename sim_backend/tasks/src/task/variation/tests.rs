@@ -4,7 +4,7 @@ use super::*;
 use crate::cameras::SceneCameras;
 use crate::simulation::{Rendering, Simulation};
 use crate::task::Outcome;
-use hal::CameraFrame;
+use hal::{CameraFrame, Distortion};
 use trocar_render::visual::instance;
 
 /// A built-in task with small pictures.
@@ -127,6 +127,48 @@ fn light_changes_colours_alone() {
     }
 }
 
+/// Depth and ids go with the distorted picture, the plain one comes back, and the same seed sees the same.
+#[test]
+fn lenses_are_the_episodes() {
+    for name in TaskConfig::names() {
+        let (plain, worn) = (small(name), varied(name, &[Variation::Lens]));
+        let (before, cameras) = frames(&plain, 3, None);
+        let (seen, cameras) = frames(&worn, 3, cameras);
+        let drawn = worn.drawn(3).lenses;
+        for ((camera, seen), before) in worn.cameras.iter().zip(&seen).zip(&before) {
+            let drawn = Distortion::new(drawn[&camera.name].distortion);
+            assert_eq!(seen.intrinsics.distortion, drawn, "{name}");
+            assert_eq!(seen.intrinsics.pinhole(), before.intrinsics, "{name}");
+            assert_ne!(seen.colour, before.colour, "{name}");
+            assert_ne!(seen.depth_m, before.depth_m, "{name}");
+        }
+        let (another, cameras) = frames(&worn, 4, cameras);
+        assert_ne!(another[0].colour, seen[0].colour, "{name}");
+        let (again, cameras) = frames(&worn, 3, cameras);
+        assert!(planes(&again) == planes(&seen), "{name}");
+        let (after, _) = frames(&plain, 3, cameras);
+        assert!(planes(&after) == planes(&before), "{name}");
+    }
+}
+
+/// A sensor's noise is another one a millisecond later, though nothing moves that one could see.
+#[test]
+fn noise_goes_with_time() {
+    let task = varied("block-transfer", &[Variation::Lens]);
+    let mut simulation = Simulation::new(&task, 1, Rendering::On).unwrap();
+    let shoot = |simulation: &mut Simulation| {
+        let mut frame = simulation.cameras().unwrap().blank_frame(0).unwrap();
+        simulation.render(0, &mut frame).unwrap();
+        frame.colour
+    };
+    let first = shoot(&mut simulation);
+    assert!(shoot(&mut simulation) == first, "at the same instant");
+    simulation.step();
+    let second = shoot(&mut simulation);
+    let apart = first.iter().zip(&second).filter(|(a, b)| a != b).count();
+    assert!(apart > first.len() / 4, "{apart}");
+}
+
 #[test]
 fn looks_keep_to_their_bounds_and_use_them() {
     let task = varied("block-transfer", &[Variation::Light]);
@@ -177,12 +219,12 @@ fn what_cannot_be_varied_is_refused_with_what_can() {
         .unwrap_err();
     assert_eq!(
         error.to_string(),
-        "suture-pad has no choice of needles; it can vary views, light"
+        "suture-pad has no choice of needles; it can vary views, light, lens"
     );
     let seen = small("needle-lift").with_view(View::View2).unwrap();
     let error = seen.with_variations(&[Variation::Views]).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "needle-lift has its cameras moved by the view already; it can vary needles, light"
+        "needle-lift has its cameras moved by the view already; it can vary needles, light, lens"
     );
 }
