@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: demo dist test-dist test check test-units test-beside test-adversary test-golden test-can test-python test-study test-console test-anatomy test-anatomy-short test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
+.PHONY: demo dist test-dist test check test-units test-beside test-adversary test-golden test-can test-python test-foxglove test-study test-console test-anatomy test-anatomy-short test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
 
 TROCAR := $(or $(CARGO_TARGET_DIR),target)/release/trocar
 DEBUG_TROCAR := $(or $(CARGO_TARGET_DIR),target)/debug/trocar
@@ -54,6 +54,11 @@ test-python: setup setup-python
 	cargo build --locked -p trocar
 	cd policy/python && $(PYTHON) -m mypy --cache-dir $(CURDIR)/target/mypy
 	cd policy/python && TROCAR=$(abspath $(DEBUG_TROCAR)) $(PYTHON) -B -m pytest -q -p no:cacheprovider
+
+# What runs and logs tell Foxglove, read with its Python SDK and MCAP's; part of `make test-python`.
+test-foxglove: setup setup-python
+	cargo build --locked -p trocar
+	cd policy/python && TROCAR=$(abspath $(DEBUG_TROCAR)) $(PYTHON) -B -m pytest -q -p no:cacheprovider tests/test_foxglove.py
 
 # A tiny study interrupted, killed, gone on with, in two shards, reported, its page opened in a browser.
 test-study: build setup-browser

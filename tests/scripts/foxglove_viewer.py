@@ -4,40 +4,69 @@
     tests/scripts/foxglove_viewer.py ws://127.0.0.1:8765/?token=...   # trocar run --foxglove prints it
     tests/scripts/foxglove_viewer.py runs/a.mcap
 
-Prints messages and schema of each topic, and fails unless every message decodes and all frames form one tree below `scene`.
+Prints messages and schema of each topic, and fails unless every message decodes, also by the schema that Foxglove's own SDK has under that
+name, with nothing left over, and all frames form one tree below `scene`.
 
-Requirements: mcap, mcap-protobuf-support and websockets.
+Requirements: foxglove-sdk, mcap, mcap-protobuf-support and websockets.
 """
 
 import asyncio
 import base64
-import collections
+import collections.abc
+import functools
 import json
 import struct
 import sys
 
+import foxglove.messages
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
+from google.protobuf.unknown_fields import UnknownFieldSet
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from websockets.asyncio.client import connect
 
 SECONDS = 3.0
 
+#: A run needs some time until it says anything.
+PATIENCE_S = 60.0
+
+
+def by_schema(name, files):
+    """What decodes messages of a protobuf schema, whose files are a serialised FileDescriptorSet."""
+    pool = DescriptorPool()
+    for file in FileDescriptorSet.FromString(files).file:
+        pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName(name)).FromString
+
+
+@functools.cache
+def by_sdk(name):
+    """What decodes messages of Foxglove's schema of this name, as its SDK has it."""
+    schema = getattr(foxglove.messages, name.removeprefix("foxglove.")).get_schema()
+    assert schema.name == name, schema.name
+    return by_schema(name, schema.data)
+
 
 def decoder(channel):
     """What decodes the messages of an advertised channel."""
     if channel["encoding"] == "json":
         return json.loads
-    pool = DescriptorPool()
-    for file in FileDescriptorSet.FromString(base64.b64decode(channel["schema"])).file:
-        pool.Add(file)
-    return GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"])).FromString
+    return by_schema(channel["schemaName"], base64.b64decode(channel["schema"]))
+
+
+def unknown(message):
+    """How many fields of a message, or of those in it, its schema does not have."""
+    count = len(UnknownFieldSet(message))
+    for field, value in message.ListFields():
+        if field.message_type:
+            count += sum(map(unknown, value if isinstance(value, collections.abc.Sequence) else [value]))
+    return count
 
 
 async def listen(url):
-    """The messages of some seconds: topic, schema, message."""
+    """The messages of some seconds from the first on: topic, schema, message, bytes."""
     heard = []
     async with connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None) as socket:
         assert json.loads(await socket.recv())["op"] == "serverInfo"
@@ -46,7 +75,7 @@ async def listen(url):
         await socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
         decoders = [decoder(channel) for channel in channels]
         try:
-            async with asyncio.timeout(SECONDS):
+            async with asyncio.timeout(PATIENCE_S) as limit:
                 async for message in socket:
                     if isinstance(message, str):
                         continue
@@ -55,14 +84,17 @@ async def listen(url):
                     code, channel, _nanoseconds = struct.unpack_from("<BIQ", message)
                     assert code == 1, code
                     known = channels[channel]
-                    heard.append((known["topic"], known["schemaName"], decoders[channel](message[13:])))
+                    if not heard:
+                        limit.reschedule(asyncio.get_running_loop().time() + SECONDS)
+                    data = message[13:]
+                    heard.append((known["topic"], known["schemaName"], decoders[channel](data), data))
         except TimeoutError:
             pass
     return heard
 
 
 def read(path):
-    """The messages of a log: topic, schema, message."""
+    """The messages of a log: topic, schema, message, bytes."""
     with open(path, "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for schema, channel, message in reader.iter_messages():
@@ -70,15 +102,18 @@ def read(path):
                 decoded = json.loads(message.data)
             else:
                 decoded = DecoderFactory().decoder_for(channel.message_encoding, schema)(message.data)
-            yield channel.topic, schema.name, decoded
+            yield channel.topic, schema.name, decoded, message.data
 
 
 def check(messages):
     """Counts the messages, and puts the frames together."""
     counts = collections.Counter()
     parents = {}
-    for topic, schema, message in messages:
+    for topic, schema, message, data in messages:
         counts[topic, schema] += 1
+        if schema.startswith("foxglove.") and not isinstance(message, dict):
+            message = by_sdk(schema)(data)
+            assert unknown(message) == 0, f"{topic}: {schema} has other fields than the SDK's"
         if schema == "foxglove.FrameTransforms":
             for transform in message.transforms:
                 child, parent = transform.child_frame_id, transform.parent_frame_id

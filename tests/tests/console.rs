@@ -10,14 +10,20 @@
 mod access;
 #[path = "console/browser.rs"]
 mod browser;
+#[path = "console/dataset.rs"]
+mod dataset;
 #[path = "console/desk.rs"]
 mod desk;
 #[path = "console/devices.rs"]
 mod devices;
 #[path = "console/devtools.rs"]
 mod devtools;
+#[path = "console/emulated.rs"]
+mod emulated;
 #[path = "console/foxglove.rs"]
 mod foxglove;
+#[path = "console/handover.rs"]
+mod handover;
 #[path = "console/intervention.rs"]
 mod intervention;
 #[path = "console/lift.rs"]

@@ -18,7 +18,7 @@ fn by_hand(test: &str, more: &[&str]) -> Served {
 
 /// Where the tip is commanded to be, in the picture's axes: position, m, and rotation.
 #[derive(Clone, Copy)]
-struct Tip([f64; 3], UnitQuaternion<f64>);
+pub(crate) struct Tip(pub(crate) [f64; 3], UnitQuaternion<f64>);
 
 impl Tip {
     fn now(browser: &mut Browser) -> Self {
@@ -29,7 +29,7 @@ impl Tip {
     }
 
     /// Once it rests.
-    fn rested(browser: &mut Browser) -> Self {
+    pub(crate) fn rested(browser: &mut Browser) -> Self {
         let mut before = Self::now(browser);
         loop {
             // A page that is busy may not have been told anything new for a while.
@@ -46,17 +46,23 @@ impl Tip {
     }
 
     /// From here to there, m.
-    fn way(&self, there: &Self) -> [f64; 3] {
+    pub(crate) fn way(&self, there: &Self) -> [f64; 3] {
         std::array::from_fn(|axis| there.0[axis] - self.0[axis])
     }
 
+    /// Position, m, and rotation as a quaternion x, y, z, w.
+    pub(crate) fn numbers(&self) -> [f64; 7] {
+        let ([x, y, z], q) = (self.0, self.1.coords);
+        [x, y, z, q.x, q.y, q.z, q.w]
+    }
+
     /// The turn from here to there in the picture's axes, rad.
-    fn turn(&self, there: &Self) -> [f64; 3] {
+    pub(crate) fn turn(&self, there: &Self) -> [f64; 3] {
         (there.1 * self.1.inverse()).scaled_axis().into()
     }
 }
 
-fn near(found: [f64; 3], wanted: [f64; 3], within: f64) {
+pub(crate) fn near(found: [f64; 3], wanted: [f64; 3], within: f64) {
     let fits = found
         .iter()
         .zip(wanted)

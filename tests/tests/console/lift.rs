@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use hal::{Pose, TipTarget};
+use hal::{PerArm, Pose, TipTarget};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 use tch::Device;
@@ -16,7 +16,7 @@ use trocar_tasks::simulation::{Rendering, Simulation};
 use crate::devtools::Browser;
 use crate::run::{Served, verified};
 
-const SEED: &str = "7";
+pub(crate) const SEED: &str = "7";
 
 /// How many times slower than the machine's the clocks of the run are: it shares two cores with the browser.
 pub(crate) const SLOW_MOTION: u64 = 3;
@@ -24,60 +24,83 @@ pub(crate) const SLOW_MOTION: u64 = 3;
 /// The devices and the operator, before any script of the page.
 const OPERATOR: &str = include_str!("operator.js");
 
-/// What the expert wants of the tip.
+/// What the expert wants of the tips.
 #[derive(Default)]
-struct Targets(Vec<TipTarget>);
+struct Targets(Vec<PerArm<TipTarget>>);
 
 impl Watcher for Targets {
     fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
-        let first = |chunk: &hal::Chunk| chunk.valid_targets().first().copied();
-        self.0
-            .extend(view.answer.and_then(|chunks| first(&chunks.first)));
+        if let Some(chunks) = view.answer {
+            let targets = chunks.as_ref().map(|chunk| chunk.valid_targets()[0]);
+            self.0.push(targets);
+        }
         Ok(())
+    }
+}
+
+/// What the expert does in the episode [`SEED`] of `task`.
+pub(crate) struct Shown {
+    plan: Plan,
+    /// Where it wants the tips, by policy step.
+    pub(crate) targets: Vec<PerArm<TipTarget>>,
+}
+
+impl Shown {
+    pub(crate) fn of(task: &str) -> Self {
+        let plan = Plan::load(task, PolicyChoice::Expert).unwrap();
+        let setup = &plan.setup;
+        let seed = SEED.parse().unwrap();
+        let mut targets = Targets::default();
+        let episode = Episode {
+            simulation: &mut Simulation::new(&setup.task, seed, Rendering::Off).unwrap(),
+            controller: &mut setup.controller().unwrap(),
+            source: &mut setup
+                .source(&PolicyChoice::Expert, seed, Device::Cpu)
+                .unwrap(),
+        };
+        let timing = Timing {
+            latency: Latency::fixed(0),
+            tick_limit: 20_000,
+        };
+        episode.run(&timing, &mut targets).unwrap();
+        Self {
+            plan,
+            targets: targets.0,
+        }
+    }
+
+    /// Where the tip of an arm is in the scene, if it is at `target`, `raised_m` higher.
+    pub(crate) fn in_scene(&self, arm: usize, target: &TipTarget, raised_m: f64) -> Pose {
+        let scene_from_rcm = self.plan.setup.task.arms[arm].scene_from_rcm;
+        Translation3::new(0.0, 0.0, raised_m) * scene_from_rcm * target.tip_in_rcm()
+    }
+
+    /// A place on an operator's way: which arm's tip is to be there, in the picture's axes, and how far the trigger is pressed then.
+    pub(crate) fn place(&self, arm: usize, tip_in_scene: &Pose, jaw: f64) -> Value {
+        let tip = scene_from_view(&self.plan).inverse() * tip_in_scene;
+        json!({ "arm": arm, "tip": TipTarget::new(&tip, 0.0).pose_numbers(), "jaw": jaw })
     }
 }
 
 /// Where the tip goes, as the picture shows it, and how far the trigger is pressed: above the needle, to where the expert grips it, up
 /// again.
 fn way_to_lift() -> Value {
-    let plan = Plan::load("needle-lift", PolicyChoice::Expert).unwrap();
-    let setup = &plan.setup;
-    let seed = SEED.parse().unwrap();
-    let mut targets = Targets::default();
-    let episode = Episode {
-        simulation: &mut Simulation::new(&setup.task, seed, Rendering::Off).unwrap(),
-        controller: &mut setup.controller().unwrap(),
-        source: &mut setup
-            .source(&PolicyChoice::Expert, seed, Device::Cpu)
-            .unwrap(),
-    };
-    let timing = Timing {
-        latency: Latency::fixed(0),
-        tick_limit: 12_000,
-    };
-    episode.run(&timing, &mut targets).unwrap();
+    let shown = Shown::of("needle-lift");
+    let firsts = shown.targets.iter().map(|targets| targets.first);
     let height = |target: &TipTarget| target.position_m[2];
-    let lowest = targets
-        .0
-        .iter()
-        .min_by(|a, b| height(a).total_cmp(&height(b)));
-    let grasp = lowest.unwrap().tip_in_rcm();
-    let raised = |by: f64| Translation3::new(0.0, 0.0, by) * grasp;
-    let view_from_rcm = view_from_rcm(&plan);
-    let seen = |tip_in_rcm: Pose, jaw: f64| {
-        let tip = TipTarget::new(&(view_from_rcm * tip_in_rcm), 0.0).pose_numbers();
-        json!({ "tip": tip, "jaw": jaw })
-    };
+    let lowest = firsts.min_by(|a, b| height(a).total_cmp(&height(b)));
+    let grasp = lowest.unwrap();
+    let place = |raised_m, jaw| shown.place(0, &shown.in_scene(0, &grasp, raised_m), jaw);
     json!([
-        seen(raised(0.02), 0.0),
-        seen(grasp, 0.0),
-        seen(grasp, 1.0),
-        seen(raised(0.035), 1.0),
+        place(0.02, 0.0),
+        place(0.0, 0.0),
+        place(0.0, 1.0),
+        place(0.035, 1.0),
     ])
 }
 
 /// The picture's axes from what the scene file says of the endoscope: x to the right, y up, z towards the viewer.
-fn view_from_rcm(plan: &Plan) -> Isometry3<f64> {
+fn scene_from_view(plan: &Plan) -> Isometry3<f64> {
     let task = &plan.setup.task;
     let camera = task
         .cameras
@@ -89,13 +112,17 @@ fn view_from_rcm(plan: &Plan) -> Isometry3<f64> {
     let right = ahead.cross(&up).normalize();
     let axes = Matrix3::from_columns(&[right, right.cross(&ahead), -ahead]);
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-    let scene_from_view = Isometry3::from_parts(eye.into(), turn);
-    scene_from_view.inverse() * task.arms[0].scene_from_rcm
+    Isometry3::from_parts(eye.into(), turn)
 }
 
 /// A page whose operator has `device` in hand, once it steers an arm that is enabled.
 pub(crate) fn operated(test: &str, served: &Served, device: &str) -> Browser {
-    let script = format!("{OPERATOR}\nwindow.device = {};", json!(device));
+    operated_with(test, served, device, "")
+}
+
+/// The same, in which `runtime` runs before all other scripts.
+pub(crate) fn operated_with(test: &str, served: &Served, device: &str, runtime: &str) -> Browser {
+    let script = format!("{runtime}\n{OPERATOR}\nwindow.device = {};", json!(device));
     let mut browser = Browser::open_with(&format!("{test}-profile"), &served.url(), &script);
     browser.look(1280, "light");
     browser.wait_until("document.querySelector('.chip')?.dataset.state === 'ENABLED'");
@@ -114,7 +141,7 @@ fn lift(browser: &mut Browser) {
     );
 }
 
-fn wait_for_end(browser: &mut Browser, words: &str) {
+pub(crate) fn wait_for_end(browser: &mut Browser, words: &str) {
     let told = format!("document.querySelector('#banner').textContent.includes('{words}')");
     browser.wait_until(&told);
     let errors = std::mem::take(&mut browser.errors);
@@ -282,6 +309,7 @@ fn a_headset_lifts_the_needle_and_the_dataset_trains() {
     browser.wait_until("!document.querySelector('#enter-vr').hidden");
     browser.evaluate("document.querySelector('#enter-vr').click()");
     browser.wait_until("document.querySelector('#enter-vr-text').textContent.startsWith('Leave')");
+    aligns(&mut browser, &folder);
     // A controller that is not tracked lets go, and one that comes back with its squeeze held moves nothing.
     browser.evaluate("operator.take(), true");
     browser.wait_until("told.teleop.arms[0].engaged");
@@ -294,6 +322,41 @@ fn a_headset_lifts_the_needle_and_the_dataset_trains() {
     wait_for_end(&mut browser, "1 episodes are recorded");
     assert_eq!(served.code(), 0);
     says_who_and_trains(&folder, &data, &Value::Null);
+}
+
+/// A controller that is held otherwise than its instrument points does not engage, and the page says by how much; turned so, with its squeeze
+/// still held, it does.
+fn aligns(browser: &mut Browser, folder: &Path) {
+    let before = browser.evaluate("told.teleop.arms[0].tip");
+    for (degrees, said) in [
+        (
+            60.0_f64,
+            "the controller is 60° off the instrument; turn it within 30°",
+        ),
+        (31.5, "the controller is 32° off"),
+    ] {
+        let radians = degrees.to_radians();
+        let shown = browser.evaluate(&format!(
+            "operator.misalign({radians}).then(() => [document.querySelector('#hands').textContent, told.teleop.arms[0]])"
+        ));
+        let shown = shown.as_array().unwrap();
+        assert!(shown[0].as_str().unwrap().contains(said), "{shown:?}");
+        assert_eq!(shown[1]["engaged"], false);
+    }
+    browser.screenshot(&folder.join("misaligned.png"));
+    assert_eq!(browser.evaluate("told.teleop.arms[0].tip"), before);
+    // A run that let go of it meanwhile, since a message came late, wants a new clutch.
+    browser.evaluate(
+        "(async () => {
+          while (!told.teleop.arms[0].engaged) {
+            await operator.misalign(0.6);
+            operator.hands.align(told.teleop.arms[0].tip, 0.5);
+            while (!told.teleop.arms[0].engaged && told.teleop.arms[0].lost === null) await new Promise((done) => setTimeout(done, 20));
+          }
+        })()",
+    );
+    browser.evaluate("operator.rest(), true");
+    browser.wait_until("!told.teleop.arms[0].engaged");
 }
 
 /// The words of a recording of one episode by hand into `data`.

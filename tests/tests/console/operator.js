@@ -26,6 +26,16 @@ function turnBetween([ax, ay, az, aw], [bx, by, bz, bw]) {
   return sine < 1e-9 ? [0, 0, 0] : [x, y, z].map((value) => (side * value * angle) / sine);
 }
 
+/** The product of two quaternions x, y, z, w. */
+function product([ax, ay, az, aw], [bx, by, bz, bw]) {
+  return [
+    aw * bx + ax * bw + ay * bz - az * by,
+    aw * by - ax * bz + ay * bw + az * bx,
+    aw * bz + ax * by - ay * bx + az * bw,
+    aw * bw - ax * bx - ay * by - az * bz,
+  ];
+}
+
 /** A gamepad of the standard mapping. Sticks are pushed to where the tip goes as fast as `rate` says; the cross turns. */
 class Gamepad {
   rate = { way: 0.0134, turn: [1.0, 1.0, 0.28] };
@@ -121,12 +131,13 @@ class Layer {
   }
 }
 
-/** Which shares of the pixels the eyes see otherwise, and not black. */
-function compareEyes() {
-  const { gl } = layer;
-  const [left, right] = [0, EYE_PIXELS].map((x) => {
-    const pixels = new Uint8Array(4 * EYE_PIXELS ** 2);
-    gl.readPixels(x, 0, EYE_PIXELS, EYE_PIXELS, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+/** Which shares of the pixels the eyes see otherwise, and not black: the left half of what is drawn, and the right one. */
+function compareEyes(gl) {
+  const { drawingBufferWidth: both, drawingBufferHeight: height } = gl;
+  const width = both / 2;
+  const [left, right] = [0, width].map((x) => {
+    const pixels = new Uint8Array(4 * width * height);
+    gl.readPixels(x, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
     return pixels;
   });
   let [other, lit] = [0, 0];
@@ -135,29 +146,62 @@ function compareEyes() {
     if (channels.some((at) => Math.abs(left[at] - right[at]) > 24)) other += 1;
     if (channels.some((at) => right[at] > 24)) lit += 1;
   }
-  window.operator.seen = [other, lit].map((count) => count / EYE_PIXELS ** 2);
+  window.operator.seen = [other, lit].map((count) => count / (width * height));
 }
 
-/** A headset with its right controller. */
+/** A hand's controller, which moves as it is driven. */
 class Controller {
-  at = [0.2, 1.1, -0.3];
   turn = [0, 0, 0, 1];
   buttons = [{ value: 0, pressed: false }, { value: 0, pressed: false }];
   rate = 0.013 / SCALE;
 
+  constructor(handedness) {
+    this.at = [handedness === "right" ? 0.2 : -0.2, 1.1, -0.3];
+    this.source = { handedness, targetRayMode: "tracked-pointer", gripSpace: this, gamepad: this };
+  }
+
+  go(seconds) {
+    this.at = this.at.map((value, axis) => value + (this.moving?.[0][axis] ?? 0) * this.rate * seconds);
+    const [x, y, z] = this.moving?.[1].map((value) => (value * 0.3 * seconds) / 2) ?? [0, 0, 0];
+    const turned = product([x, y, z, 1], this.turn);
+    this.turn = turned.map((value) => value / Math.hypot(...turned));
+  }
+
+  get transform() {
+    const [x, y, z] = this.at;
+    const [a, b, c, w] = this.turn;
+    return { position: { x, y, z }, orientation: { x: a, y: b, z: c, w } };
+  }
+
+  hold(on) { this.buttons[1] = { value: Number(on), pressed: on }; }
+  jaw(closed) { this.buttons[0] = { value: closed, pressed: closed > 0.5 }; }
+  drive(way, turn) { this.moving = [way, turn]; }
+  time(axis, amount) { return amount / (axis < 3 ? 0.013 : 0.3); }
+
+  /** Held as the instrument with this tip points, and turned from there by an angle, rad, about the picture's x. */
+  align(tip, angle = 0) {
+    const held = product(tip.slice(3), [-1, 0, 0, 0]);
+    this.turn = product([Math.sin(angle / 2), 0, 0, Math.cos(angle / 2)], held);
+  }
+}
+
+/** A headset with two controllers. */
+class Headset {
+  controllers = ["right", "left"].map((handedness) => new Controller(handedness));
+
   constructor() {
-    const controller = this;
+    const { controllers } = this;
     window.XRWebGLLayer = Layer;
     class Session extends EventTarget {
       visibilityState = "visible";
-      inputSources = [{ handedness: "right", targetRayMode: "tracked-pointer", gripSpace: {}, gamepad: controller }];
+      inputSources = controllers.map(({ source }) => source);
       requestReferenceSpace() { return Promise.resolve({}); }
       updateRenderState() {}
       requestAnimationFrame(frame) {
-        const pose = () => window.operator.tracked && { emulatedPosition: false, transform: controller.transform };
+        const pose = ({ transform }) => window.operator.tracked && { emulatedPosition: false, transform };
         return setTimeout(() => {
           frame(performance.now(), { getPose: pose, getViewerPose: () => (window.operator.eyes ? { views: EYES } : null) });
-          if (window.operator.eyes) compareEyes();
+          if (window.operator.eyes) compareEyes(layer.gl);
         }, 14);
       }
       async end() { this.dispatchEvent(new Event("end")); }
@@ -171,25 +215,57 @@ class Controller {
       const now = performance.now();
       const seconds = Math.min(0.05, (now - before) / 1000);
       before = now;
-      this.at = this.at.map((value, axis) => value + (this.moving?.[0][axis] ?? 0) * this.rate * seconds);
-      const angle = this.moving?.[1].map((value) => (value * 0.3 * seconds) / 2) ?? [0, 0, 0];
-      const [x, y, z] = angle;
-      const [a, b, c, w] = this.turn;
-      const turned = [a + x * w + y * c - z * b, b + y * w + z * a - x * c, c + z * w + x * b - y * a, w - x * a - y * b - z * c];
-      this.turn = turned.map((value) => value / Math.hypot(...turned));
+      controllers.forEach((controller) => controller.go(seconds));
+    }, 10);
+  }
+}
+
+/** The rotation of a matrix by columns, of less than half a turn, as a quaternion x, y, z, w. */
+function rotationOf(m) {
+  const w = Math.sqrt(1 + m[0] + m[5] + m[10]) / 2;
+  return [m[6] - m[9], m[8] - m[2], m[1] - m[4]].map((value) => value / (4 * w)).concat(w);
+}
+
+/** Meta's emulation of a Quest 3 (IWER), whose controllers' grips are where the hands are. */
+class Emulated {
+  controllers = ["right", "left"].map((handedness) => new Controller(handedness));
+  quest = new IWER.XRDevice(IWER.metaQuest3, { stereoEnabled: true });
+
+  constructor() {
+    // Chromium has a navigator.xr, without a device.
+    this.quest.installRuntime({ forceInstall: true });
+    // It calls all positions estimated, which those of tracked controllers are not.
+    Object.defineProperty(XRPose.prototype, "emulatedPosition", { get: () => !window.operator.tracked });
+    const ask = XRSession.prototype.requestAnimationFrame;
+    XRSession.prototype.requestAnimationFrame = function request(callback) {
+      return ask.call(this, (time, frame) => {
+        callback(time, frame);
+        if (window.operator.eyes) compareEyes(this.renderState.baseLayer.context);
+      });
+    };
+    let before = performance.now();
+    setInterval(() => {
+      const now = performance.now();
+      const seconds = Math.min(0.05, (now - before) / 1000);
+      before = now;
+      for (const controller of this.controllers) {
+        controller.go(seconds);
+        this.#place(controller);
+      }
     }, 10);
   }
 
-  get transform() {
-    const [x, y, z] = this.at;
-    const [a, b, c, w] = this.turn;
-    return { position: { x, y, z }, orientation: { x: a, y: b, z: c, w } };
+  /** It places where a controller points from; the grip is elsewhere. */
+  #place({ at, turn, buttons, source: { handedness } }) {
+    const controller = this.quest.controllers[handedness];
+    const offset = IWER.metaQuest3.controllerConfig.layout[handedness].gripOffsetMatrix;
+    const [a, b, c, w] = rotationOf(offset);
+    const pointing = product(turn, [-a, -b, -c, w]);
+    const lever = product(product(pointing, [...offset.slice(12, 15), 0]), [...pointing.slice(0, 3).map((value) => -value), pointing[3]]);
+    controller.position.set(...at.map((value, axis) => value - lever[axis]));
+    controller.quaternion.set(...pointing);
+    ["trigger", "squeeze"].forEach((name, index) => controller.updateButtonValue(name, buttons[index].value));
   }
-
-  hold(on) { this.buttons[1] = { value: Number(on), pressed: on }; }
-  jaw(closed) { this.buttons[0] = { value: closed, pressed: closed > 0.5 }; }
-  drive(way, turn) { this.moving = [way, turn]; }
-  time(axis, amount) { return amount / (axis < 3 ? 0.013 : 0.3); }
 }
 
 /** A SpaceMouse: two thirds of its way while it is driven, a report of its buttons when they change. */
@@ -239,7 +315,7 @@ class Cap {
   }
 }
 
-const DEVICES = { keyboard: Keys, gamepad: Gamepad, spacemouse: Cap, headset: Controller };
+const DEVICES = { keyboard: Keys, gamepad: Gamepad, spacemouse: Cap, headset: Headset, iwer: Emulated };
 const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 
 /** Looks where the tip is, moves towards where it should be for as long as that takes, and looks again. */
@@ -248,22 +324,42 @@ window.operator = {
   moves: false,
   there: false,
   done: false,
-  get hands() {
+  /** The arms whose clutches are held, and the one that is moved. */
+  arms: [0],
+  arm: 0,
+  get device() {
     // A mouse is the browser's own.
-    return (this.device ??= DEVICES[window.device] && new DEVICES[window.device]());
+    return (this.made ??= DEVICES[window.device] && new DEVICES[window.device]());
   },
-  hold(on) { this.hands.hold(on); },
+  get hands() { return this.hand(this.arm); },
+  hand(arm) { return this.device?.controllers?.[arm] ?? this.device; },
+  get told() { return window.told.teleop.arms[this.arm]; },
+  hold(on) { for (const arm of this.arms) this.hand(arm).hold(on); },
   push(way) { this.hands.drive(way, [0, 0, 0]); },
+  /** Controllers are held as their instruments point. */
+  align() { for (const arm of this.arms) this.hand(arm).align?.(window.told.teleop.arms[arm].tip); },
 
-  /** Holds the clutch until the arm follows; one that the run let go of, as it does when the hand comes late, is taken anew. */
+  /** Holds the clutches until the arms follow; one that the run let go of, as it does when the hand comes late, is taken anew. */
   async take() {
-    const arm = () => window.told.teleop.arms[0];
-    while (!arm().engaged) {
+    const arms = () => this.arms.map((arm) => window.told.teleop.arms[arm]);
+    while (!arms().every((arm) => arm.engaged)) {
       this.hold(false);
-      while (arm().lost !== null) await sleep(20);
+      while (arms().some((arm) => arm.lost !== null || arm.engaged)) await sleep(20);
+      this.align();
       this.hold(true);
-      while (!arm().engaged && arm().lost === null) await sleep(20);
+      while (!arms().every((arm) => arm.engaged) && arms().every((arm) => arm.lost === null)) await sleep(20);
     }
+  },
+
+  /** Holds the clutch with the controller turned away from its instrument by an angle, rad, until the run says so. */
+  async misalign(angle) {
+    do {
+      this.hold(false);
+      while (this.told.lost !== null || this.told.engaged || this.told.misaligned_deg !== null) await sleep(20);
+      this.hands.align(this.told.tip, angle);
+      this.hold(true);
+      while (this.told.lost === null && this.told.misaligned_deg === null) await sleep(20);
+    } while (this.told.lost !== null);
   },
 
   /** Takes the clutch and pushes until the arm moves. */
@@ -273,7 +369,7 @@ window.operator = {
       await this.take();
       this.push(way);
       await sleep(20);
-      this.moves = window.told.arms[0].commanded_velocity.some((v) => Math.abs(v) > 0.01);
+      this.moves = window.told.arms[this.arm].commanded_velocity.some((v) => Math.abs(v) > 0.01);
     }
   },
 
@@ -290,16 +386,22 @@ window.operator = {
   },
 
   rest() {
-    this.hands.drive([0, 0, 0], [0, 0, 0]);
-    this.hands.hold(false);
+    for (const arm of this.arms) this.hand(arm).drive([0, 0, 0], [0, 0, 0]);
+    this.hold(false);
   },
 
-  async follow(way) {
+  /**
+   * Goes to each place of the way with the arm that is to be there, within m and rad, and closes its jaw so far; the others' hands stay
+   * where they are.
+   */
+  async follow(way, within = [0.0007, 0.05]) {
     this.done = false;
-    this.rest();
+    this.within = within;
+    for (const arm of this.arms) this.hand(arm).drive([0, 0, 0], [0, 0, 0]);
     await sleep(300);
     // The trigger meets the jaw on its way.
-    for (const { tip, jaw } of way) {
+    for (const { arm = 0, tip, jaw } of way) {
+      this.arm = arm;
       while (await this.approach(tip));
       await this.close(jaw);
     }
@@ -309,13 +411,13 @@ window.operator = {
   /** One look and the move that it asks for; whether there was one. */
   async approach(goal) {
     await this.take();
-    const { tip } = window.told.teleop.arms[0];
+    const { tip } = this.told;
     if (!tip) return true;
     const errors = [
       ...[0, 1, 2].map((axis) => goal[axis] - tip[axis]),
       ...turnBetween(tip.slice(3), goal.slice(3)),
     ];
-    const close = errors.map((error, axis) => Math.abs(error) < (axis < 3 ? 0.0007 : 0.05));
+    const close = errors.map((error, axis) => Math.abs(error) < this.within[axis < 3 ? 0 : 1]);
     if (close.every(Boolean)) return false;
     const times = errors.map((error, axis) => (close[axis] ? 0 : Math.min(1.5, this.hands.time(axis, Math.abs(error)))));
     const begin = performance.now();
@@ -330,7 +432,7 @@ window.operator = {
   },
 
   async close(jaw) {
-    let far = true;
+    let far = Math.abs(this.told.jaw - jaw) > 0.03;
     for (let tries = 0; far; tries += 1) {
       await this.take();
       if (window.device !== "keyboard" && (jaw === 0 || tries > 0)) {
@@ -342,9 +444,9 @@ window.operator = {
         this.hands.jaw(jaw);
         await sleep(50);
       }
-      far = Math.abs(window.told.teleop.arms[0].jaw - jaw) > 0.1;
+      far = Math.abs(this.told.jaw - jaw) > 0.1;
     }
     if (window.device === "keyboard") for (const code of ["KeyM", "KeyN"]) this.hands.set(code, false);
   },
 };
-setTimeout(() => window.operator.hands);
+setTimeout(() => window.operator.device);

@@ -23,6 +23,7 @@ pub(super) fn heard(shared: &Shared, seat: &Seat, request: Request) -> Result<()
         Request::Hands(_) if hands.are_at_desk() => return Err(BadHands::Desk),
         Request::Hands(message) => hands.hear(seat.id(), &message)?,
         Request::Scale(scale) => hands.set_scale(scale)?,
+        Request::Align(degrees) => hands.set_align_deg(degrees)?,
         Request::HandBack(true) => hands.hand_back()?,
         Request::Episode(wish) => hands.wish(wish)?,
         Request::Label(text) => hands.set_label(text)?,
@@ -37,7 +38,8 @@ pub(super) fn heard(shared: &Shared, seat: &Seat, request: Request) -> Result<()
         | Request::Steer(_)
         | Request::Command(_)
         | Request::Show(_)
-        | Request::At(_) => {}
+        | Request::At(_)
+        | Request::Open(_) => {}
     }
     Ok(())
 }

@@ -14,6 +14,7 @@ use tokio::sync::watch;
 use tokio::time::{interval, timeout};
 
 use super::by_hand;
+use super::dataset_view::DatasetView;
 use super::log_view::LogView;
 use super::pictures::Stream;
 use super::request::{Allowance, Request, command};
@@ -90,6 +91,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
         streams: Vec::new(),
         seen: BTreeMap::new(),
         place: None,
+        episode: 0,
         moved: false,
         on_the_way: 0,
         heard: clock.now(),
@@ -119,8 +121,9 @@ struct Page {
     streams: Vec<Stream>,
     /// The number of the picture that it has of each stream.
     seen: BTreeMap<Stream, u64>,
-    /// Where in a log it looks.
+    /// Where in a log, or in an episode of a dataset, it looks.
     place: Option<f64>,
+    episode: usize,
     moved: bool,
     on_the_way: u32,
     /// When something was last heard of it.
@@ -208,11 +211,22 @@ impl Page {
             }
             Request::Show(streams) => {
                 self.seat.look_at(&streams);
+                // What is looked at anew is to be told anew.
+                self.seen.retain(|stream, _| streams.contains(stream));
                 self.streams = streams;
             }
             Request::At(seconds) => {
                 (self.place, self.moved) = (Some(seconds), true);
                 self.shared.place.send_replace(self.place);
+            }
+            Request::Open(episode) => {
+                let dataset = self.shared.dataset();
+                let episodes = dataset.map_or(0, |dataset| dataset.episodes());
+                if episode >= episodes {
+                    let text = &format!("episode {episode}: there are {episodes}");
+                    return answer(socket, &Told::Problem { text }).await;
+                }
+                (self.episode, self.moved) = (episode, self.place.is_some());
             }
             Request::Shown(_) if !self.seat.steers() => {}
             Request::Command(text) => return self.command(&text, socket).await,
@@ -220,6 +234,7 @@ impl Page {
             | Request::Hands(_)
             | Request::HandsOff(_)
             | Request::Scale(_)
+            | Request::Align(_)
             | Request::HandBack(_)
             | Request::Episode(_)
             | Request::Label(_) => {
@@ -304,6 +319,9 @@ impl Page {
         if let Some(log) = self.shared.log() {
             return self.of_log(&log);
         }
+        if let Some(dataset) = self.shared.dataset() {
+            return self.of_dataset(&dataset);
+        }
         let texts = [&mut self.bulletin, &mut self.state];
         if let Some(text) = texts.into_iter().find_map(changed) {
             return Some(News::Text(text));
@@ -324,6 +342,33 @@ impl Page {
             let fresh = self.seen.insert(*stream, number) != Some(number);
             fresh.then_some(News::Picture(message))
         })
+    }
+}
+
+impl Page {
+    /// What a dataset says of the place that this page looks at. Images are decoded here, in the server's thread: nothing runs beside it.
+    fn of_dataset(&mut self, dataset: &DatasetView) -> Option<News> {
+        let place = (self.episode, self.place?);
+        if std::mem::take(&mut self.moved) {
+            return Some(News::Text(dataset.state(place)?.into()));
+        }
+        let frame = dataset.frame(place)?;
+        let number = frame as u64 + 1;
+        for stream in &self.streams {
+            if self.seen.insert(*stream, number) == Some(number) {
+                continue;
+            }
+            match dataset.picture(*stream, frame) {
+                Ok(Some(message)) => return Some(News::Picture(message)),
+                Ok(None) => {}
+                Err(damaged) => {
+                    let text = &damaged.to_string();
+                    let told = serde_json::to_string(&Told::Problem { text }).ok()?;
+                    return Some(News::Text(told.into()));
+                }
+            }
+        }
+        None
     }
 }
 

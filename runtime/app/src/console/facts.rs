@@ -3,6 +3,7 @@
 use hal::Pose;
 use hal::joints::{INSERTION, JOINT_NAMES};
 use serde::Serialize;
+use serde_json::Value;
 use trocar_control::{ControlConfig, rows};
 
 use super::tap::{BUCKETS_US, PERIOD_BUCKETS_US};
@@ -39,6 +40,9 @@ pub struct Facts {
     /// Of a log, how the run ended.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) outcome: Option<EndFacts>,
+    /// Of a dataset, its episodes and what they keep.
+    #[serde(flatten)]
+    dataset: Option<OfDataset>,
     /// Interfaces of the buses that the arms are on, and their bit rate, bit/s.
     #[serde(skip)]
     pub(super) buses: (Vec<String>, u32),
@@ -59,6 +63,50 @@ enum Subject {
     Recording,
     /// Emulated drives.
     Drives,
+    /// Episodes of a dataset.
+    Dataset,
+}
+
+/// What a page is told of a dataset beside what it is told of a log.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct OfDataset {
+    /// Frames a second.
+    pub(super) fps: u32,
+    /// Cameras that keep depth and ids.
+    pub(super) depth: Vec<String>,
+    pub(super) episodes: Vec<EpisodeFacts>,
+}
+
+/// One episode.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct EpisodeFacts {
+    pub(super) frames: usize,
+    /// From its first frame to its last.
+    pub(super) seconds: f64,
+    /// What happened in it.
+    pub(super) events: Vec<EventFacts>,
+    /// What the recording noted of it.
+    pub(super) note: Option<Value>,
+}
+
+/// Between what an axis is drawn: rad, rad/s; m, m/s.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AxisRange {
+    pub(super) low: f64,
+    pub(super) high: f64,
+    pub(super) velocity: f64,
+}
+
+impl AxisRange {
+    /// The limits of joints and jaw.
+    pub(super) fn limits(control: &ControlConfig) -> Vec<Self> {
+        let axes = control.axes.iter().map(|limits| Self {
+            low: limits.low,
+            high: limits.high,
+            velocity: limits.velocity,
+        });
+        axes.collect()
+    }
 }
 
 /// A joint or the jaw.
@@ -106,18 +154,9 @@ impl Facts {
         control: &ControlConfig,
         cameras: Vec<String>,
     ) -> Self {
-        let names = JOINT_NAMES.into_iter().chain(["jaw"]);
-        let axes = names.zip(&control.axes).enumerate();
-        let axes = axes.map(|(index, (name, limits))| AxisFacts {
-            name,
-            unit: if index == INSERTION { "m" } else { "rad" },
-            low: limits.low,
-            high: limits.high,
-            velocity: limits.velocity,
-        });
         let arms = control.arms.iter().map(|arm| arm.name.clone());
         Self {
-            axes: axes.collect(),
+            axes: axes(AxisRange::limits(control)),
             rows: rows::names(control),
             rcms_in_scene: control.arms.iter().map(|arm| arm.scene_from_rcm).collect(),
             ..Self::of(Subject::Run, (title, policy, seed), arms.collect(), cameras)
@@ -128,6 +167,23 @@ impl Facts {
     pub(crate) fn of_drives(title: &str, seed: u64, arms: &[&str], cameras: Vec<String>) -> Self {
         let arms = arms.iter().map(|&name| name.to_owned());
         Self::of(Subject::Drives, (title, "", seed), arms.collect(), cameras)
+    }
+
+    /// Those of a dataset of `title` (its task, and who made it) with these `arms`, whose axes are drawn in these ranges.
+    pub(super) fn of_dataset(
+        title: (&str, &str),
+        arms: impl Iterator<Item = &'static str>,
+        ranges: Vec<AxisRange>,
+        cameras: Vec<String>,
+        dataset: OfDataset,
+    ) -> Self {
+        let arms = arms.map(str::to_owned).collect();
+        Self {
+            axes: axes(ranges),
+            log: true,
+            dataset: Some(dataset),
+            ..Self::of(Subject::Dataset, (title.0, title.1, 0), arms, cameras)
+        }
     }
 
     /// Those of `arms` without axes, filter and scene.
@@ -155,6 +211,7 @@ impl Facts {
             seconds: None,
             events: Vec::new(),
             outcome: None,
+            dataset: None,
             buses: (Vec::new(), 0),
             rows: Vec::new(),
             rcms_in_scene: Vec::new(),
@@ -203,4 +260,18 @@ impl Facts {
     pub(super) fn json(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()
     }
+}
+
+/// Joints and jaw in these ranges.
+fn axes(ranges: Vec<AxisRange>) -> Vec<AxisFacts> {
+    let names = JOINT_NAMES.into_iter().chain(["jaw"]);
+    let axes = names.zip(ranges).enumerate();
+    let axes = axes.map(|(index, (name, range))| AxisFacts {
+        name,
+        unit: if index == INSERTION { "m" } else { "rad" },
+        low: range.low,
+        high: range.high,
+        velocity: range.velocity,
+    });
+    axes.collect()
 }

@@ -36,14 +36,18 @@ pub(super) enum Request {
     HandsOff(bool),
     /// What part of a hand's way the tip is to make.
     Scale(f64),
+    /// Within which angle of its instrument a tracked controller is to engage, degrees.
+    Align(f64),
     /// The policy is to drive again.
     HandBack(bool),
     /// What is to become of the demonstration.
     Episode(Wish),
     /// What the demonstration under way is called in the dataset; nothing takes its label away.
     Label(String),
-    /// Where in a log to look, s from its first tick.
+    /// Where in a log, or an episode of a dataset, to look, s from its beginning.
     At(f64),
+    /// Which episode of a dataset to look at, from 0.
+    Open(usize),
 }
 
 /// Why a message is none.
@@ -83,7 +87,7 @@ impl Request {
                 Err(BadRequest::Time)
             }
             Self::Label(text) if !is_label(text) => Err(BadRequest::Label),
-            // Hands and scale are checked where they are used.
+            // Hands, scale and alignment are checked where they are used.
             Self::Seen(_)
             | Self::Steer(_)
             | Self::Command(_)
@@ -92,10 +96,12 @@ impl Request {
             | Self::Hands(_)
             | Self::HandsOff(_)
             | Self::Scale(_)
+            | Self::Align(_)
             | Self::HandBack(_)
             | Self::Episode(_)
             | Self::Label(_)
-            | Self::At(_) => Ok(request),
+            | Self::At(_)
+            | Self::Open(_) => Ok(request),
         }
     }
 }
@@ -166,6 +172,7 @@ mod tests {
             ),
             (r#"{"show":[[1,"depth"]]}"#, Request::Show(vec![stream])),
             (r#"{"at":1.5}"#, Request::At(1.5)),
+            (r#"{"open":12}"#, Request::Open(12)),
             (r#"{"shown":[2,7.25]}"#, Request::Shown((2, 7.25))),
         ] {
             assert_eq!(Request::parse(text), Ok(expected), "{text}");
@@ -180,6 +187,8 @@ mod tests {
             r#"{"set":"x"}"#,
             r#"{"at":null}"#,
             r#"{"at":1e999}"#,
+            r#"{"open":-1}"#,
+            r#"{"open":1.5}"#,
             r#"{"shown":[0,-1]}"#,
             r#"{"shown":[256,1]}"#,
             r#"{"show":[[256,"colour"]]}"#,

@@ -38,7 +38,7 @@ const VIEWER_BYTES_MAX: usize = 16 << 10;
 const WAITING_MAX: usize = 4;
 
 /// The page's files: path, type, text.
-const FILES: [(&str, &str, &str); 19] = [
+const FILES: [(&str, &str, &str); 20] = [
     (
         "/",
         "text/html; charset=utf-8",
@@ -66,6 +66,7 @@ const FILES: [(&str, &str, &str); 19] = [
     ("/teleop.js", SCRIPT, include_str!("page/teleop.js")),
     ("/hands.js", SCRIPT, include_str!("page/hands.js")),
     ("/headset.js", SCRIPT, include_str!("page/headset.js")),
+    ("/dataset.js", SCRIPT, include_str!("page/dataset.js")),
     ("/timeline.js", SCRIPT, include_str!("page/timeline.js")),
     ("/scene.js", SCRIPT, include_str!("page/scene.js")),
     ("/scene_draw.js", SCRIPT, include_str!("page/scene_draw.js")),

@@ -8,6 +8,7 @@ use tokio::sync::watch;
 use tokio::task::spawn_blocking;
 
 use super::access::Access;
+use super::dataset_view::DatasetView;
 use super::live::Live;
 use super::log_view::LogView;
 use super::pictures::Board;
@@ -27,6 +28,8 @@ enum Shown {
     Live(Arc<Live>),
     /// A log.
     Log(Arc<LogView>),
+    /// A dataset.
+    Dataset(Arc<DatasetView>),
 }
 
 #[derive(Debug)]
@@ -96,6 +99,13 @@ impl Shared {
         self.facts.send_replace(facts.into());
     }
 
+    /// From now on pages see a dataset.
+    pub(super) fn show_dataset(&self, dataset: DatasetView) {
+        let facts = dataset.facts();
+        self.show(Shown::Dataset(Arc::new(dataset)));
+        self.facts.send_replace(facts.into());
+    }
+
     /// From now on this is the scene's file.
     pub(super) fn show_scene(&self, file: Bytes) {
         *self.scene.lock().unwrap_or_else(PoisonError::into_inner) = file;
@@ -126,7 +136,7 @@ impl Shared {
     pub(super) fn live(&self) -> Option<Arc<Live>> {
         match &*self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
             Shown::Live(live) => Some(Arc::clone(live)),
-            Shown::Nothing | Shown::Log(_) => None,
+            Shown::Nothing | Shown::Log(_) | Shown::Dataset(_) => None,
         }
     }
 
@@ -134,7 +144,15 @@ impl Shared {
     pub(super) fn log(&self) -> Option<Arc<LogView>> {
         match &*self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
             Shown::Log(log) => Some(Arc::clone(log)),
-            Shown::Nothing | Shown::Live(_) => None,
+            Shown::Nothing | Shown::Live(_) | Shown::Dataset(_) => None,
+        }
+    }
+
+    /// The dataset that is shown, if it is one.
+    pub(super) fn dataset(&self) -> Option<Arc<DatasetView>> {
+        match &*self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
+            Shown::Dataset(dataset) => Some(Arc::clone(dataset)),
+            Shown::Nothing | Shown::Live(_) | Shown::Log(_) => None,
         }
     }
 

@@ -139,9 +139,10 @@ pub(crate) enum Verb {
         after_help = "Example: trocar report runs/sufia-bc --out runs/sufia-bc.html\n         trocar report runs/shard-1 runs/shard-2 --out runs/sufia-bc.md --json runs/sufia-bc.json"
     )]
     Report(ReportArgs),
-    /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical.
+    /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical. With --console it is shown with a time line, and
+    /// so are all episodes of a dataset, whose folder is given in the log's place.
     #[command(
-        after_help = "Example: trocar replay runs/a.mcap\n         trocar replay runs/a.mcap --console"
+        after_help = "Example: trocar replay runs/a.mcap\n         trocar replay runs/a.mcap --console\n         trocar replay runs/demos --console"
     )]
     Replay(ReplayArgs),
     /// Check a log's commands against its limits, independently of the controller.
@@ -459,7 +460,7 @@ pub(crate) struct VerifyArgs {
 /// Options of `replay`.
 #[derive(Args, Debug)]
 pub(crate) struct ReplayArgs {
-    /// The log, and where the result goes.
+    /// The log, or a dataset's folder, and where the result goes.
     #[command(flatten)]
     pub(crate) log: LogArgs,
     /// Where it is shown afterwards, with a time line, until Ctrl-C.

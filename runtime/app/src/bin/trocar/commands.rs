@@ -14,14 +14,14 @@ use trocar::session::run::{RunResult, write_json};
 use trocar::session::{Plan, PolicyChoice, Robot, SessionError, Setup, demo, operator, outputs};
 use trocar_control::MeasuredClearance;
 use trocar_data::dataset::VideoCodec;
-use trocar_log::{replay as replaying, verify as verifying};
+use trocar_log::verify as verifying;
 use trocar_nets::compute::{Arithmetic, Compute};
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::task::TaskConfig;
 
 use crate::args::{
     Backend, ComputeArgs, ComputeDevice, DemoArgs, DoctorArgs, LogArgs, PolicyProcessArgs,
-    Precision, ReplayArgs, RunArgs, VerifyArgs, Video,
+    Precision, RunArgs, VerifyArgs, Video,
 };
 use crate::black_box;
 use crate::console;
@@ -30,9 +30,6 @@ use crate::run_report::{nearest, report_run};
 use crate::scene_args::Inputs;
 
 pub(crate) type Done = Result<bool, SessionError>;
-
-/// Time between two looks at whether a signal has come, ns.
-const CONSOLE_POLL_NS: u64 = 50_000_000;
 
 pub(crate) fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
     match choice {
@@ -323,41 +320,6 @@ fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionEr
     }
 }
 
-pub(crate) fn replay(args: &ReplayArgs) -> Done {
-    let page = args.page.open(args.viewers.foxglove)?;
-    let replayed = replay_log(&args.log);
-    let Some(page) = page else {
-        return replayed;
-    };
-    // A log that differs, or ends too early, is what one wants to see.
-    if matches!(&replayed, Ok(_) | Err(SessionError::CutLog { .. })) {
-        page.show_log(&args.log.file)?;
-        rt::catch_interrupts().map_err(SessionError::signals)?;
-        console::note("trocar: the log is shown; Ctrl-C ends it");
-        while !rt::interrupted() {
-            rt::sleep_ns(CONSOLE_POLL_NS);
-        }
-    }
-    page.close(None, "the console has been closed");
-    replayed
-}
-
-fn replay_log(args: &LogArgs) -> Done {
-    check_result(args)?;
-    forget_result(args)?;
-    let result = replaying::replay_file::<SessionError>(&args.file)?;
-    match &result.first_difference {
-        None if result.identical => console::result(&format!("identical: {} ticks", result.ticks)),
-        None => console::result(&format!("not identical after {} ticks", result.ticks)),
-        Some(difference) => console::result(&format!("differs: {difference}")),
-    }
-    if let Some(path) = &args.json {
-        write_json(path, &result)?;
-    }
-    refuse_cut(result.cut.as_deref(), args)?;
-    Ok(result.identical)
-}
-
 pub(crate) fn verify(VerifyArgs { log: args, part }: &VerifyArgs) -> Done {
     check_result(args)?;
     forget_result(args)?;
@@ -395,13 +357,13 @@ pub(crate) fn verify(VerifyArgs { log: args, part }: &VerifyArgs) -> Done {
 }
 
 /// The result must not take the place of the log.
-fn check_result(args: &LogArgs) -> Result<(), SessionError> {
+pub(crate) fn check_result(args: &LogArgs) -> Result<(), SessionError> {
     let log = ("the log", Some(args.file.as_path()));
     outputs::check(&[("--json", args.json.as_deref())], &[log])
 }
 
 /// A result of before must not be taken for that of a log that can't be read.
-fn forget_result(args: &LogArgs) -> Result<(), SessionError> {
+pub(crate) fn forget_result(args: &LogArgs) -> Result<(), SessionError> {
     let Some(path) = args.json.as_deref().filter(|path| path.is_file()) else {
         return Ok(());
     };
@@ -410,7 +372,7 @@ fn forget_result(args: &LogArgs) -> Result<(), SessionError> {
 }
 
 /// An incomplete log is bad input, even though what is there was used.
-fn refuse_cut(cut: Option<&str>, args: &LogArgs) -> Result<(), SessionError> {
+pub(crate) fn refuse_cut(cut: Option<&str>, args: &LogArgs) -> Result<(), SessionError> {
     let Some(reason) = cut else {
         return Ok(());
     };

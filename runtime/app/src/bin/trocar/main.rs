@@ -18,6 +18,7 @@ mod page;
 mod policy;
 mod provenance;
 mod record;
+mod replay;
 mod run_report;
 mod scene_args;
 mod segment;
@@ -90,7 +91,7 @@ fn main() -> ExitCode {
         Verb::Train(args) => train::train(args),
         Verb::Study(args) => study::study(args),
         Verb::Report(args) => study::report(args),
-        Verb::Replay(args) => commands::replay(args),
+        Verb::Replay(args) => replay::replay(args),
         Verb::Verify(args) => commands::verify(args),
         Verb::Drives(args) => drives::drives(args),
         Verb::Doctor(args) => commands::doctor(args),

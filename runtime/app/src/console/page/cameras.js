@@ -21,12 +21,12 @@ export class Cameras {
     this.none = document.getElementById("no-cameras");
   }
 
-  /** Shows `names`; of a log there is colour alone. */
-  set(names, colourOnly) {
+  /** Shows `names`; what was recorded has colour alone, but for those `deep`. */
+  set(names, recorded, deep = []) {
     const same = names.length === this.#views.length && names.every((name, i) => this.#views[i].name === name);
     if (!same) {
       this.root.replaceChildren();
-      this.#views = names.map((name, index) => this.#view(name, index, colourOnly));
+      this.#views = names.map((name, index) => this.#view(name, index, recorded, deep.includes(name)));
     }
     this.root.classList.toggle("many", names.length > 2);
     this.none.hidden = names.length > 0;
@@ -124,7 +124,7 @@ export class Cameras {
     });
   }
 
-  #view(name, index, colourOnly) {
+  #view(name, index, recorded, deep) {
     const figure = document.createElement("figure");
     figure.className = "view";
     const image = document.createElement("img");
@@ -135,10 +135,11 @@ export class Cameras {
     title.textContent = name;
     const select = document.createElement("select");
     select.setAttribute("aria-label", `What of ${name} is shown`);
-    const planes = colourOnly ? ["colour"] : [...PLANES, "off"];
+    const colourOnly = recorded && !deep;
+    const planes = colourOnly ? ["colour"] : recorded ? PLANES : [...PLANES, "off"];
     for (const plane of planes) select.add(new Option(plane, plane));
     // A software renderer has its limits: the first camera is shown, the others by choice.
-    const plane = colourOnly || index === 0 ? "colour" : "off";
+    const plane = recorded || index === 0 ? "colour" : "off";
     select.value = plane;
     select.hidden = colourOnly;
     const rate = document.createElement("span");

@@ -15,27 +15,30 @@ export class Headset {
   #screen = null;
   #offered = false;
   #eyes;
+  #more;
 
   /**
    * `tell(arms)` gets the hands of each frame, `arms()` says how many there are; `eyes.images()` are what the left and the right eye see,
-   * `eyes.want(on)` asks for them.
+   * `eyes.want(on)` asks for them; `more.words()` are the lines to read there,
+   * `more.scene(canvas)` is what draws the scene for an eye, if it is to be seen there.
    */
-  constructor(tell, arms, eyes) {
+  constructor(tell, arms, eyes, more) {
     this.#tell = tell;
     this.#arms = arms;
     this.#eyes = eyes;
+    this.#more = more;
   }
 
   get running() {
     return this.#session !== null;
   }
 
-  /** Shows the button where there is a headset. */
-  async offer(button, able) {
+  /** Shows the button, and rows of settings, where there is a headset. */
+  async offer([button, ...rows], able) {
     if (!this.#offered && navigator.xr) {
       this.#offered = await navigator.xr.isSessionSupported("immersive-vr").catch(() => false);
     }
-    button.hidden = !this.#offered;
+    for (const node of [button, ...rows]) node.hidden = !this.#offered;
     button.disabled = !able && !this.running;
   }
 
@@ -82,7 +85,7 @@ export class Headset {
       }
     }
     this.#tell(arms);
-    this.#screen?.draw(frame, this.#space, this.#eyes.images());
+    this.#screen?.draw(frame, this.#space, this.#eyes.images(), this.#more);
   }
 
   // Of two arms the left hand has the second: psm1 is on the right in the picture. Of one arm the right hand has it.
@@ -98,17 +101,21 @@ function hand(source, pose) {
   const buttons = source.gamepad?.buttons ?? [];
   return {
     clutch: Boolean(buttons[1]?.pressed),
+    tracked: true,
     at: [position.x, position.y, position.z].map(rounded),
     turn: [orientation.x, orientation.y, orientation.z, orientation.w].map(rounded),
     jaw: rounded(Math.min(1, Math.max(0, buttons[0]?.value ?? 0))),
   };
 }
 
-/** A picture for each eye, or one for both, on a plane in front of the viewer. */
+/** The lines below the picture: pixels of their texture, and their plane's place and size in that of the picture. */
+const LINES = { width: 1024, height: 128, place: new DOMMatrix([1, 0, 0, 0, 0, 0.125, 0, 0, 0, 0, 1, 0, 0, -0.8, 0, 1]) };
+
+/** A picture for each eye, or one for both, on a plane in front of the viewer; lines to read below it. */
 class Screen {
   static async open(session) {
     const canvas = document.createElement("canvas");
-    const gl = canvas.getContext("webgl", { xrCompatible: true });
+    const gl = canvas.getContext("webgl2", { xrCompatible: true });
     if (!gl) return null;
     const screen = new Screen(gl);
     screen.layer = new XRWebGLLayer(session, gl);
@@ -126,7 +133,7 @@ class Screen {
       gl.attachShader(program, shader);
     }
     gl.linkProgram(program);
-    gl.useProgram(program);
+    this.program = program;
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]), gl.STATIC_DRAW);
     const at = gl.getAttribLocation(program, "at");
@@ -134,7 +141,9 @@ class Screen {
     gl.vertexAttribPointer(at, 2, gl.FLOAT, false, 0, 0);
     this.clip = gl.getUniformLocation(program, "clip");
     this.pictures = [0, 1].map(() => ({ texture: gl.createTexture(), shown: null }));
-    for (const { texture } of this.pictures) {
+    this.lines = { texture: gl.createTexture(), shown: null, canvas: document.createElement("canvas") };
+    [this.lines.canvas.width, this.lines.canvas.height] = [LINES.width, LINES.height];
+    for (const { texture } of [...this.pictures, this.lines]) {
       gl.bindTexture(gl.TEXTURE_2D, texture);
       for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
@@ -153,20 +162,51 @@ class Screen {
     return picture.shown !== null;
   }
 
-  draw(frame, space, images) {
+  /** Binds the lines as they read now. */
+  #write(words) {
+    const { gl, lines } = this;
+    gl.bindTexture(gl.TEXTURE_2D, lines.texture);
+    const text = words.join("\n");
+    if (text === lines.shown) return;
+    const context = lines.canvas.getContext("2d");
+    context.fillStyle = "#000";
+    context.fillRect(0, 0, LINES.width, LINES.height);
+    context.fillStyle = "#fff";
+    context.font = "36px sans-serif";
+    context.textBaseline = "middle";
+    words.forEach((line, index) => context.fillText(line, 16, ((index + 0.5) * LINES.height) / words.length, LINES.width - 32));
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, gl.RGB, gl.UNSIGNED_BYTE, lines.canvas);
+    lines.shown = text;
+  }
+
+  draw(frame, space, images, { words, scene }) {
     const { gl, layer } = this;
     const viewer = frame.getViewerPose(space);
     gl.bindFramebuffer(gl.FRAMEBUFFER, layer.framebuffer);
-    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     if (!viewer) return;
+    const paint = scene(gl.canvas);
+    const lines = words();
     for (const view of viewer.views) {
       const eye = view.eye === "right" && images[1] !== images[0] ? 1 : 0;
-      if (!this.#bind(eye, images[eye])) continue;
       const port = layer.getViewport(view);
       gl.viewport(port.x, port.y, port.width, port.height);
       const clip = new DOMMatrix([...view.projectionMatrix]).multiply(new DOMMatrix([...view.transform.inverse.matrix]));
-      gl.uniformMatrix4fv(this.clip, false, clip.toFloat32Array());
-      gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+      if (this.#bind(eye, images[eye])) this.#quad(clip);
+      this.#write(lines);
+      this.#quad(clip.multiply(LINES.place));
+      paint?.(clip, view.transform.position);
     }
+  }
+
+  // The scene, which is drawn after it, leaves another program and its own state.
+  #quad(clip) {
+    const { gl } = this;
+    gl.useProgram(this.program);
+    gl.bindVertexArray(null);
+    gl.disable(gl.DEPTH_TEST);
+    gl.disable(gl.BLEND);
+    gl.uniformMatrix4fv(this.clip, false, clip.toFloat32Array());
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
 }

@@ -2,6 +2,7 @@
 
 import { Cameras } from "./cameras.js";
 import { Connection } from "./connection.js";
+import { Episodes } from "./dataset.js";
 import { Drives } from "./drives.js";
 import { Operator } from "./operator.js";
 import { Panels } from "./panels.js";
@@ -23,7 +24,8 @@ const scene = new Scene(() => cameras.want());
 const cameras = new Cameras(send, () => (scene.wanted ? [[SCENE, "colour"]] : []));
 const operator = new Operator(send);
 const timeline = new Timeline(send);
-const teleop = new Teleop(send, cameras);
+const episodes = new Episodes(send, timeline);
+const teleop = new Teleop(send, cameras, scene);
 const drives = new Drives();
 const recording = new Recording();
 let link = "waiting";
@@ -47,9 +49,10 @@ const heard = {
     log = facts.log;
     document.body.dataset.subject = facts.subject;
     panels.facts(facts);
-    cameras.set(facts.cameras, facts.log);
+    cameras.set(facts.cameras, facts.log, facts.depth);
     scene.facts(facts.scene);
     timeline.facts(facts);
+    episodes.facts(facts);
     teleop.facts(facts);
     if (facts.subject !== "run") byId("steering").hidden = true;
     else if (!log) send({ steer: true });
@@ -64,6 +67,10 @@ const heard = {
     say([...arms, teleop.words()].filter(Boolean).join("; "));
     const faults = state.arms.filter((arm) => arm.fault).map((arm) => `${arm.name}: ${arm.fault}`);
     if (!ended && link === "open") banner(faults.join("; "));
+  },
+  frame(frame) {
+    panels.frame(frame);
+    episodes.frame(frame);
   },
   drives: (news) => drives.show(news),
   recording: (news) => recording.show(news),

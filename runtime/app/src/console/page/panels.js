@@ -72,8 +72,9 @@ export class Panels {
   facts(facts) {
     this.#facts = facts;
     text(byId("title"), facts.title);
-    const how = facts.log ? "log" : { run: "live", recording: "recording", drives: "emulated drives" }[facts.subject];
-    text(byId("about"), [how, facts.policy && `policy ${facts.policy}`, `seed ${facts.seed}`].filter(Boolean).join(" · "));
+    const { episodes } = facts;
+    const how = episodes ? `dataset · ${episodes.length} ${episodes.length === 1 ? "episode" : "episodes"}` : facts.log ? "log" : { run: "live", recording: "recording", drives: "emulated drives" }[facts.subject];
+    text(byId("about"), [how, facts.policy && `${episodes ? "by" : "policy"} ${facts.policy}`, !episodes && `seed ${facts.seed}`].filter(Boolean).join(" · "));
     document.title = `${facts.title} – Trocar console`;
     byId("chips").replaceChildren();
     byId("arms").replaceChildren();
@@ -105,6 +106,22 @@ export class Panels {
     this.#showSafety(state);
     this.#showLoop(state);
     this.#showTask(state);
+  }
+
+  /** A frame of a dataset: what was measured, and where the action wants the joints. */
+  frame({ seconds, arms }) {
+    if (!this.#facts) return;
+    text(byId("time"), `${seconds.toFixed(2)} s`);
+    arms.forEach((arm, index) => {
+      this.#arms[index]?.axes.forEach(({ axis, position, value, velocity, speed }, i) => {
+        const unit = axis.unit === "m" ? length : angle;
+        place(position.measured, arm.measured[i], axis.low, axis.high);
+        place(position.commanded, arm.wanted?.[i], axis.low, axis.high);
+        text(value, unit(arm.measured[i]));
+        place(velocity.measured, arm.measured_velocity[i], -axis.velocity, axis.velocity);
+        text(speed, `${unit(arm.measured_velocity[i])}/s`);
+      });
+    });
   }
 
   #arm(name) {

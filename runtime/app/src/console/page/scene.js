@@ -8,13 +8,19 @@ const FRUSTUM_M = 0.012;
 const PATH_COLOURS = [[0.35, 0.88, 1, 1], [1, 0.89, 0.36, 1]];
 const CAMERA_COLOUR = [0.3, 0.9, 1, 1];
 
+/** Where the scene stands in a headset's space, twice as large: in front of the viewer, below the picture, its z upwards. */
+const IN_HEADSET = new DOMMatrix().translate(0, -0.8, -0.95).rotate(-90, 0, 0).scale3d(2);
+
 export class Scene {
   #drawing = null;
+  /** What draws in a headset, and its canvas. */
+  #far = null;
   #nodes = [];
   #cameras = [];
   #paths = [];
   #eye = structuredClone(HOME);
   #asked = false;
+  #rests = false;
   #want;
 
   constructor(want) {
@@ -24,9 +30,14 @@ export class Scene {
     this.canvas = byId("scene-view");
     this.show = byId("scene-show");
     this.limits = byId("scene-limits");
+    this.vr = byId("scene-vr");
     this.problem = byId("scene-problem");
     this.show.onchange = () => this.#toggle();
     this.limits.onchange = () => this.draw();
+    this.vr.onchange = async () => {
+      if (this.vr.checked && this.#nodes.length === 0) await this.#load();
+      this.#want();
+    };
     byId("scene-home").onclick = () => {
       this.#eye = structuredClone(HOME);
       this.draw();
@@ -37,7 +48,29 @@ export class Scene {
 
   /** Whether places are wanted. */
   get wanted() {
-    return this.show.checked && this.#nodes.length > 0;
+    const seen = this.#rests ? this.vr.checked : this.show.checked;
+    return seen && this.#nodes.length > 0;
+  }
+
+  /** Whoever looks into a headset sees nothing of the page, which leaves the computer to the headset. */
+  rest(on) {
+    this.#rests = on;
+    this.draw();
+  }
+
+  /** What draws it in a headset's context with this canvas, given the eye's matrix and place; nothing if it is not to be seen there. */
+  inHeadset(canvas) {
+    if (!this.vr.checked || this.#nodes.length === 0) return null;
+    if (this.#far?.canvas !== canvas) {
+      this.#far = { canvas, drawing: new Drawing(canvas) };
+      this.#far.drawing.set(this.#nodes);
+    }
+    const { drawing } = this.#far;
+    const back = IN_HEADSET.inverse();
+    return (clip, at) => {
+      const { x, y, z } = back.transformPoint(at);
+      drawing.paint({ eye: clip.multiply(IN_HEADSET).toFloat32Array(), from: [x, y, z], ...this.#seen() });
+    };
   }
 
   /** A run has a scene, or has none. */
@@ -51,7 +84,9 @@ export class Scene {
     const { visuals, cameras, bent } = parsePlaces(buffer);
     visuals.forEach((pose, index) => (this.#nodes[index].pose = pose));
     cameras.forEach((pose, index) => (this.#cameras[index].pose = pose));
-    for (const { index, positions, normals } of bent) this.#drawing.bend(index, positions, normals);
+    for (const { index, positions, normals } of bent) {
+      for (const drawing of [this.#drawing, this.#far?.drawing]) drawing?.bend(index, positions, normals);
+    }
     this.canvas.dataset.seconds = seconds.toFixed(3);
     this.#ask();
   }
@@ -81,6 +116,7 @@ export class Scene {
       const nodes = parseScene(await answer.arrayBuffer());
       this.#drawing.set(nodes);
       this.#nodes = nodes;
+      this.#far?.drawing.set(nodes);
       this.#cameras = nodes.filter((node) => node.kind === "camera");
       this.problem.hidden = true;
     } catch (error) {
@@ -94,7 +130,7 @@ export class Scene {
 
   // At most one drawing a frame of the screen.
   #ask() {
-    if (this.#asked || !this.#drawing || this.canvas.hidden) return;
+    if (this.#asked || this.#rests || !this.#drawing || this.canvas.hidden) return;
     this.#asked = true;
     requestAnimationFrame(() => {
       this.#asked = false;
@@ -109,18 +145,21 @@ export class Scene {
     const { centre, turn, tilt, distance } = this.#eye;
     const away = [Math.cos(tilt) * Math.cos(turn), Math.cos(tilt) * Math.sin(turn), Math.sin(tilt)];
     const from = centre.map((value, axis) => value + distance * away[axis]);
+    this.#drawing.draw({ ...eyeMatrix(from, centre, width / height), from, width, height, background: [0.09, 0.11, 0.13], ...this.#seen() });
+    this.canvas.dataset.paths = this.#paths.reduce((sum, { points }) => sum + points.length, 0);
+    this.canvas.dataset.drawn = Number(this.canvas.dataset.drawn ?? 0) + 1;
+  }
+
+  /** Which nodes are seen, and the lines. */
+  #seen() {
     const limits = this.limits.checked;
-    this.#drawing.draw({
-      ...eyeMatrix(from, centre, width / height), from, width, height,
-      background: [0.09, 0.11, 0.13],
+    return {
       visible: (node) => limits || node.kind === "thing",
       lines: [
         ...this.#cameras.map((camera) => ({ points: frustum(camera), colour: CAMERA_COLOUR })),
         ...this.#paths.map(({ points }, arm) => ({ points: pairs(points), colour: PATH_COLOURS[arm], over: true })),
       ],
-    });
-    this.canvas.dataset.paths = this.#paths.reduce((sum, { points }) => sum + points.length, 0);
-    this.canvas.dataset.drawn = Number(this.canvas.dataset.drawn ?? 0) + 1;
+    };
   }
 
   #steer() {

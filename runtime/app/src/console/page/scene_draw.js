@@ -113,12 +113,19 @@ export class Drawing {
     }
   }
 
-  /** Draws what `visible(node)` lets, seen from `from`; `lines` are further lines as { points, colour, over }: over everything or not. */
-  draw({ eye, from, width, height, background, visible, lines }) {
+  /** Draws an image of this size. */
+  draw({ width, height, background, ...seen }) {
     const gl = this.#gl;
     gl.viewport(0, 0, width, height);
     gl.clearColor(...background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    this.paint(seen);
+  }
+
+  /** Draws what `visible(node)` lets, seen from `from`; `lines` are further lines as { points, colour, over }: over everything or not. */
+  paint({ eye, from, visible, lines }) {
+    const gl = this.#gl;
+    gl.enable(gl.DEPTH_TEST);
     gl.useProgram(this.#program);
     gl.uniformMatrix4fv(this.#uniforms.eye, false, eye);
     gl.uniform3fv(this.#uniforms.from, from);

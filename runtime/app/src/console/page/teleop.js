@@ -9,6 +9,8 @@ import { byId, takesLetters } from "./dom.js";
 const EVERY_MS = 20;
 /** How wide a picture is for a hand where it is not known what it shows, m. */
 const PICTURE_M = 0.2;
+/** An angle that is heard is not said anew for each degree. */
+const HEARD_DEG = 15;
 const PHASES = { waiting: "waits for its start", running: "is recorded", writing: "is written" };
 
 export class Teleop {
@@ -28,16 +30,21 @@ export class Teleop {
   #other = false;
   #before = performance.now();
   #dragging = false;
+  #aligning = false;
   #driver = null;
 
-  constructor(send, cameras) {
+  constructor(send, cameras, scene) {
     this.#send = send;
     this.#drag = new Drag(byId("views"), () => cameras.image(this.#picture?.camera ?? 0));
     const eyes = {
       images: () => [this.#picture?.camera ?? 0, this.#picture?.right ?? this.#picture?.camera ?? 0].map((camera) => cameras.image(camera)),
-      want: (on) => cameras.also(on && Number.isInteger(this.#picture?.right) ? [this.#picture.right] : []),
+      want: (on) => {
+        scene.rest(on);
+        cameras.also(on && Number.isInteger(this.#picture?.right) ? [this.#picture.right] : []);
+      },
     };
-    this.headset = new Headset((arms) => this.#tell(arms), () => this.#status?.arms.length ?? 1, eyes);
+    const more = { words: () => this.#lines(), scene: (canvas) => scene.inHeadset(canvas) };
+    this.headset = new Headset((arms) => this.#tell(arms), () => this.#status?.arms.length ?? 1, eyes, more);
     this.#listen();
     setInterval(() => this.#tick(), EVERY_MS);
   }
@@ -74,8 +81,12 @@ export class Teleop {
       byId("scale").value = Math.round(status.scale * 100);
       byId("scale-out").textContent = `${Math.round(status.scale * 100)} %`;
     }
+    if (!this.#aligning) {
+      byId("align").value = Math.round(status.align_deg);
+      byId("align-out").textContent = `${Math.round(status.align_deg)}°`;
+    }
     this.#showDriver(status);
-    this.#showArms(status.arms, status.driver);
+    this.#showArms(status);
     this.#showRecording(status.recording);
     const label = byId("label");
     if (document.activeElement !== label && label.value !== status.label) label.value = status.label;
@@ -84,7 +95,12 @@ export class Teleop {
   /** In words what each arm does, for those who hear the page; while a policy drives there is nothing to say. */
   words() {
     if (this.#status?.driver === "policy") return "";
-    return (this.#status?.arms ?? []).map((arm, index) => `${this.#names[index]} ${word(arm)}`).join("; ");
+    return this.#lines(HEARD_DEG).join("; ");
+  }
+
+  /** A line for each arm, with angles in steps of so many degrees. */
+  #lines(step_deg = 1) {
+    return (this.#status?.arms ?? []).map((arm, index) => `${this.#names[index] ?? ""} ${word(arm, this.#status, step_deg)}`);
   }
 
   #listen() {
@@ -96,6 +112,15 @@ export class Teleop {
     scale.onchange = () => {
       this.#dragging = false;
       this.#send({ scale: Number(scale.value) / 100 });
+    };
+    const align = byId("align");
+    align.oninput = () => {
+      this.#aligning = true;
+      byId("align-out").textContent = `${align.value}°`;
+    };
+    align.onchange = () => {
+      this.#aligning = false;
+      this.#send({ align: Number(align.value) });
     };
     const hold = byId("hold");
     const holds = (on) => () => { this.#held = on; };
@@ -224,7 +249,7 @@ export class Teleop {
     const able = this.#open && this.#steers;
     for (const control of document.querySelectorAll("#teleop button, #teleop input")) control.disabled = !able;
     if (this.#status) this.#showDriver(this.#status);
-    this.headset.offer(byId("enter-vr"), able);
+    this.headset.offer([byId("enter-vr"), byId("align-row"), byId("scene-vr-row")], able);
   }
 
   /** Who drives, where a policy does too. */
@@ -243,14 +268,15 @@ export class Teleop {
     this.#driver = driver;
   }
 
-  #showArms(arms, driver) {
+  #showArms({ arms }) {
     const list = byId("hands");
+    const lines = this.#lines();
     while (list.children.length > arms.length) list.lastChild.remove();
     arms.forEach((arm, index) => {
       const item = list.children[index] ?? list.appendChild(document.createElement("li"));
       item.dataset.engaged = String(arm.engaged);
       const mark = arm.engaged ? "●" : "○";
-      const text = `${mark} ${this.#names[index] ?? ""} ${word(arm, driver)}`;
+      const text = `${mark} ${lines[index]}`;
       if (item.textContent !== text) item.textContent = text;
     });
   }
@@ -267,9 +293,13 @@ export class Teleop {
   }
 }
 
-function word(arm, driver) {
+function word(arm, { driver, align_deg }, step_deg) {
   if (driver === "policy" && !arm.engaged) return "follows the policy";
   if (arm.engaged) return "follows the hand";
+  if (arm.misaligned_deg !== null) {
+    const off = Math.ceil(arm.misaligned_deg / step_deg) * step_deg;
+    return `holds: the controller is ${off}° off the instrument; turn it within ${align_deg}°`;
+  }
   return arm.lost ? `holds: ${arm.lost}; let go, then hold again` : "holds";
 }
 

@@ -9,6 +9,7 @@ export class Timeline {
   #length = 0;
   #at = 0;
   #sent = -1;
+  #step_s = STEP_S;
   #playing = null;
   #events = [];
 
@@ -19,22 +20,33 @@ export class Timeline {
       this.go(Number(byId("at").value));
     };
     byId("play").onclick = () => (this.#playing ? this.#stop() : this.#play());
-    byId("back").onclick = () => this.#step(-STEP_S);
-    byId("forth").onclick = () => this.#step(STEP_S);
+    byId("back").onclick = () => this.#step(-this.#step_s);
+    byId("forth").onclick = () => this.#step(this.#step_s);
     document.addEventListener("keydown", (event) => this.#key(event));
   }
 
   facts(facts) {
     byId("timeline").hidden = !facts.log;
     byId("steering").hidden = facts.log;
-    if (!facts.log) return;
-    this.#length = facts.seconds;
-    byId("at").max = String(facts.seconds);
+    if (!facts.log || facts.episodes) return;
     const { outcome } = facts;
     const verdict = outcome ? (outcome.success === true ? "success" : outcome.success === false ? "failure" : "end") : "no end in the log";
-    byId("log-outcome").textContent = `${facts.seconds.toFixed(2)} s; ${verdict}${outcome?.reason && outcome.reason !== verdict ? ` (${outcome.reason})` : ""}`;
+    this.show(facts, `${verdict}${outcome?.reason && outcome.reason !== verdict ? ` (${outcome.reason})` : ""}`);
+  }
+
+  /** Goes through so many `seconds` in which these `events` were, a frame at a time if there are `fps`; `ended` says how. */
+  show({ seconds: length, events = [], fps }, ended) {
+    this.#length = length;
+    this.#step_s = fps ? 1 / fps : STEP_S;
+    const step = fps ? "one frame" : "40 ms";
+    byId("back").setAttribute("aria-label", `Step back ${step}`);
+    byId("forth").setAttribute("aria-label", `Step forward ${step}`);
+    byId("at").max = String(length);
+    byId("log-outcome").textContent = `${length.toFixed(2)} s; ${ended}`;
+    byId("events-head").hidden = events.length === 0;
+    byId("events").hidden = events.length === 0;
     const marks = [];
-    this.#events = (facts.events ?? []).map(({ seconds, text }) => {
+    this.#events = events.map(({ seconds, text }) => {
       const item = document.createElement("li");
       const button = document.createElement("button");
       button.type = "button";
@@ -49,7 +61,7 @@ export class Timeline {
       };
       item.append(button);
       const mark = document.createElement("i");
-      mark.style.left = `${(100 * seconds) / Math.max(facts.seconds, 1e-9)}%`;
+      mark.style.left = `${(100 * seconds) / Math.max(length, 1e-9)}%`;
       marks.push(mark);
       return { seconds, button, item };
     });
@@ -57,6 +69,12 @@ export class Timeline {
     byId("marks").replaceChildren(...marks);
     this.#sent = -1;
     this.go(this.#at);
+  }
+
+  /** From the beginning, at rest. */
+  rewind() {
+    this.#stop();
+    this.#at = 0;
   }
 
   go(seconds) {

@@ -4,11 +4,11 @@ use core::fmt;
 
 /// An arm's clutch.
 ///
-/// | in | the hand holds it | the hand does not | something is wrong |
-/// |---|---|---|---|
-/// | lost | lost | open | lost |
-/// | open | engaged, anew | open | lost: whoever comes back has to be seen with it open |
-/// | engaged | engaged | open | lost |
+/// | in | the hand holds it | holds it, but is not aligned | the hand does not | something is wrong |
+/// |---|---|---|---|---|
+/// | lost | lost | lost | open | lost |
+/// | open | engaged, anew | open | open | lost: whoever comes back has to be seen with it open |
+/// | engaged | engaged | engaged | open | lost |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Clutch {
     /// It was released by force, or never was free: before the hand can engage it has to let go.
@@ -17,6 +17,17 @@ pub(super) enum Clutch {
     Open,
     /// The arm follows the hand; the number is that of the engagement, counted from 1.
     Engaged(u64),
+}
+
+/// What a hand does with its clutch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Grip {
+    /// It does not hold it.
+    Open,
+    /// It holds it, but is not held as its instrument points.
+    Misaligned,
+    /// It holds it.
+    Held,
 }
 
 /// Why a clutch was released by force.
@@ -47,17 +58,18 @@ pub(crate) enum Lost {
 }
 
 impl Clutch {
-    /// What it is after a message that the hand holds it or not; `engagements` counts.
+    /// What it is after a message of what the hand does with it; `engagements` counts.
     #[must_use]
-    pub(super) const fn after(self, holds: bool, engagements: &mut u64) -> Self {
-        match (self, holds) {
-            (Self::Lost(why), true) => Self::Lost(why),
-            (Self::Lost(_) | Self::Open | Self::Engaged(_), false) => Self::Open,
-            (Self::Open, true) => {
+    pub(super) const fn after(self, grip: Grip, engagements: &mut u64) -> Self {
+        match (self, grip) {
+            (Self::Lost(why), Grip::Held | Grip::Misaligned) => Self::Lost(why),
+            (Self::Lost(_) | Self::Open | Self::Engaged(_), Grip::Open)
+            | (Self::Open, Grip::Misaligned) => Self::Open,
+            (Self::Open, Grip::Held) => {
                 *engagements += 1;
                 Self::Engaged(*engagements)
             }
-            (Self::Engaged(number), true) => Self::Engaged(number),
+            (Self::Engaged(number), Grip::Held | Grip::Misaligned) => Self::Engaged(number),
         }
     }
 
@@ -110,24 +122,28 @@ mod tests {
     #[test]
     fn clutch_follows_its_table() {
         let lost = Clutch::Lost(Lost::Stale);
+        let (open, misaligned, held) = (Some(Grip::Open), Some(Grip::Misaligned), Some(Grip::Held));
         let mut engagements = 4;
-        for (before, holds, after) in [
-            (lost, Some(true), lost),
-            (lost, Some(false), Clutch::Open),
+        for (before, grip, after) in [
+            (lost, held, lost),
+            (lost, misaligned, lost),
+            (lost, open, Clutch::Open),
             (lost, None, lost),
-            (Clutch::Open, Some(true), Clutch::Engaged(5)),
-            (Clutch::Open, Some(false), Clutch::Open),
+            (Clutch::Open, misaligned, Clutch::Open),
+            (Clutch::Open, held, Clutch::Engaged(5)),
+            (Clutch::Open, open, Clutch::Open),
             (Clutch::Open, None, Clutch::Lost(Lost::Jump)),
-            (Clutch::Engaged(5), Some(true), Clutch::Engaged(5)),
-            (Clutch::Engaged(5), Some(false), Clutch::Open),
+            (Clutch::Engaged(5), held, Clutch::Engaged(5)),
+            (Clutch::Engaged(5), misaligned, Clutch::Engaged(5)),
+            (Clutch::Engaged(5), open, Clutch::Open),
             (Clutch::Engaged(5), None, Clutch::Lost(Lost::Jump)),
-            (Clutch::Open, Some(true), Clutch::Engaged(6)),
+            (Clutch::Open, held, Clutch::Engaged(6)),
         ] {
-            let found = match holds {
-                Some(holds) => before.after(holds, &mut engagements),
+            let found = match grip {
+                Some(grip) => before.after(grip, &mut engagements),
                 None => before.lost(Lost::Jump),
             };
-            assert_eq!(found, after, "{before:?} {holds:?}");
+            assert_eq!(found, after, "{before:?} {grip:?}");
         }
     }
 }

@@ -10,7 +10,7 @@ use super::held::Held;
 use super::latency::{Counts, TeleopSummary, Transit};
 use super::message::{BadHands, Hand, HandsMessage};
 use super::status::{ArmStatus, Phase, Recording, TeleopStatus, numbers};
-use super::{Commanded, Driver, SCALES, STALE_NS};
+use super::{ALIGNS_DEG, Commanded, Driver, SCALES, STALE_NS};
 use crate::mailbox::MailboxReader;
 use crate::rt::MonotonicClock;
 
@@ -220,6 +220,18 @@ impl Hands {
         Ok(())
     }
 
+    /// A tracked controller engages within this angle of its instrument from now on, degrees.
+    ///
+    /// # Errors
+    /// [`BadHands::Align`].
+    pub(crate) fn set_align_deg(&self, degrees: f64) -> Result<(), BadHands> {
+        if !ALIGNS_DEG.contains(&degrees) {
+            return Err(BadHands::Align);
+        }
+        self.lock().align_deg = Some(degrees);
+        Ok(())
+    }
+
     /// The page in `seat` answered a ping after so long.
     pub(crate) fn round_trip(&self, seat: u64, ns: u64) {
         let mut inner = self.lock();
@@ -341,12 +353,14 @@ impl Hands {
         let arms = arms.map(|(arm, tip)| ArmStatus {
             engaged: arm.clutch.is_engaged(),
             lost: arm.clutch.why().map(|why| why.to_string()),
+            misaligned_deg: arm.misaligned_deg.map(f64::ceil),
             tip: tip.as_ref().map(|(tip, _)| numbers(tip)),
             jaw: tip.map_or(0.0, |(_, closed)| closed),
         });
         (inner.arms > 0).then(|| TeleopStatus {
             desk: inner.desk,
             scale: inner.scale(),
+            align_deg: inner.align_deg(),
             driver: inner.driver,
             arms: arms.collect(),
             recording: inner.recording,
@@ -358,6 +372,7 @@ impl Hands {
     /// What was counted since the run began.
     pub(crate) fn summary(&self) -> TeleopSummary {
         let inner = self.lock();
-        inner.counts.summary(inner.scale(), inner.driver.is_some())
+        let chosen = (inner.scale(), inner.align_deg());
+        inner.counts.summary(chosen, inner.driver.is_some())
     }
 }

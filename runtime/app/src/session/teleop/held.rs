@@ -2,7 +2,8 @@
 
 use hal::{ARMS_MAX, Pose, TimeNs};
 
-use super::clutch::{Clutch, Lost};
+use super::alignment::{DEFAULT_ALIGN_DEG, misaligned_deg};
+use super::clutch::{Clutch, Grip, Lost};
 use super::demonstration::Wish;
 use super::latency::{Counts, Transit};
 use super::message::Hand;
@@ -31,6 +32,8 @@ pub(super) struct Held {
     pub(super) received: Option<(TimeNs, f64)>,
     pub(super) transit: Transit,
     pub(super) scale: Option<f64>,
+    /// Within which angle of its instrument a tracked controller engages, degrees.
+    pub(super) align_deg: Option<f64>,
     /// Who drives, if there is a policy beside the hands.
     pub(super) driver: Option<Driver>,
     /// Whether no episode is under way.
@@ -51,6 +54,8 @@ pub(super) struct Held {
 pub(super) struct ArmHand {
     pub(super) clutch: Clutch,
     pub(super) hand: Option<Hand>,
+    /// By how much it is held otherwise than its instrument points, degrees, if that keeps it from engaging.
+    pub(super) misaligned_deg: Option<f64>,
 }
 
 impl Default for ArmHand {
@@ -58,6 +63,7 @@ impl Default for ArmHand {
         Self {
             clutch: Clutch::Lost(Lost::NotYet),
             hand: None,
+            misaligned_deg: None,
         }
     }
 }
@@ -73,6 +79,7 @@ impl Held {
         if let Some(hand) = self.hands.get_mut(arm) {
             let engaged = hand.clutch.is_engaged();
             hand.clutch = hand.clutch.lost(why);
+            hand.misaligned_deg = None;
             // An episode that ends, or who hands back, takes nothing from anybody.
             let forced = !matches!(why, Lost::NoEpisode | Lost::HandedBack);
             self.counts.losses += u64::from(engaged && forced);
@@ -104,13 +111,38 @@ impl Held {
                 arm.clutch = self.hands[index].clutch;
             }
             let before = self.engagements;
-            arm.clutch = arm.clutch.after(new.clutch, &mut self.engagements);
+            let (grip, misaligned_deg) = self.grip(index, new);
+            arm.clutch = arm.clutch.after(grip, &mut self.engagements);
+            arm.misaligned_deg = misaligned_deg.filter(|_| arm.clutch == Clutch::Open);
             self.counts.engagements += self.engagements - before;
             arm.hand = Some(*new);
             self.hands[index] = arm;
         }
         if self.waits {
             self.lose(Lost::NoEpisode);
+        }
+    }
+}
+
+impl Held {
+    /// What the `hand` of an arm does with its clutch, and the angle that keeps it from engaging, degrees.
+    fn grip(&self, arm: usize, hand: &Hand) -> (Grip, Option<f64>) {
+        if !hand.clutch {
+            return (Grip::Open, None);
+        }
+        let Some((tip_in_view, _)) = self.tips.get(arm).and_then(Option::as_ref) else {
+            // How the instrument points is not known yet.
+            let grip = if hand.tracked {
+                Grip::Misaligned
+            } else {
+                Grip::Held
+            };
+            return (grip, None);
+        };
+        let outside = |angle: &f64| *angle > self.align_deg();
+        match misaligned_deg(hand, tip_in_view).filter(outside) {
+            Some(angle) => (Grip::Misaligned, Some(angle)),
+            None => (Grip::Held, None),
         }
     }
 }
@@ -129,5 +161,9 @@ impl Held {
 
     pub(super) fn scale(&self) -> f64 {
         self.scale.unwrap_or(DEFAULT_SCALE)
+    }
+
+    pub(super) fn align_deg(&self) -> f64 {
+        self.align_deg.unwrap_or(DEFAULT_ALIGN_DEG)
     }
 }

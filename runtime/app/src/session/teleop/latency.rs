@@ -82,6 +82,8 @@ pub struct TeleopSummary {
     pub forced_releases: u64,
     /// What part of the hand's way the tip made, at the end.
     pub scale: f64,
+    /// Within which angle of its instrument a tracked controller engaged, degrees, at the end.
+    pub align_deg: f64,
     /// Of a run that has a policy too.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub interventions: Option<InterventionSummary>,
@@ -125,7 +127,12 @@ impl Counts {
         })
     }
 
-    pub(super) fn summary(&self, scale: f64, beside_policy: bool) -> TeleopSummary {
+    /// What is reported, with the scale and the bound of the alignment that were chosen.
+    pub(super) fn summary(
+        &self,
+        (scale, align_deg): (f64, f64),
+        beside_policy: bool,
+    ) -> TeleopSummary {
         let round_trip_ms = self.round_trip_ms();
         let on_the_way = round_trip_ms.unwrap_or(0.0) / 2.0;
         let percentile = |share| milliseconds(self.command.percentile(share)) + on_the_way;
@@ -140,6 +147,7 @@ impl Counts {
             engagements: self.engagements,
             forced_releases: self.losses,
             scale,
+            align_deg,
             interventions: beside_policy.then_some(self.interventions),
         }
     }

@@ -30,6 +30,9 @@ pub(super) struct HandMessage {
     pub(super) at: [f64; 3],
     /// Rotation in the picture's axes, unit quaternion x, y, z, w.
     pub(super) turn: [f64; 4],
+    /// Whether `turn` is how a tracked controller is held: its grip pose. Otherwise only what it changes by counts.
+    #[serde(default)]
+    pub(super) tracked: bool,
     /// How far the trigger is pressed, 0 to 1: 1 closes the jaw.
     pub(super) jaw: f64,
 }
@@ -39,6 +42,8 @@ pub(super) struct HandMessage {
 pub(super) struct Hand {
     /// Whether the operator holds the clutch.
     pub(super) clutch: bool,
+    /// Whether the pose's rotation is how a tracked controller is held: its grip pose.
+    pub(super) tracked: bool,
     /// Where it is in the picture's axes; the origin is the device's own.
     pub(super) pose: Pose,
     /// How far the trigger is pressed, 0 to 1.
@@ -80,6 +85,9 @@ pub(crate) enum BadHands {
     /// The scale is out of range.
     #[error("the scale is a number in [0.1, 1]")]
     Scale,
+    /// The bound of the alignment is out of range.
+    #[error("the angle within which a controller engages is a number of degrees in [5, 180]")]
+    Align,
 }
 
 impl HandsMessage {
@@ -115,6 +123,7 @@ impl HandMessage {
         }
         Ok(Hand {
             clutch: self.clutch,
+            tracked: self.tracked,
             pose: Pose::from_parts(
                 Translation3::from(at),
                 UnitQuaternion::from_quaternion(turn),
@@ -139,7 +148,9 @@ mod tests {
             r#"{"t":1.5,"arms":[{"clutch":true,"at":[0.1,0,-9.9],"turn":[0,0,0,1],"jaw":0.5}]}"#;
         let [hand, second] = read(good).unwrap().unwrap();
         let hand = hand.unwrap();
-        assert!(hand.clutch && second.is_none());
+        assert!(hand.clutch && !hand.tracked && second.is_none());
+        let tracked = good.replace(":0.5", r#":0.5,"tracked":true"#);
+        assert!(read(&tracked).unwrap().unwrap()[0].unwrap().tracked);
         assert_eq!((hand.pose.translation.x, hand.jaw), (0.1, 0.5));
         for (from, to) in [
             ("0.1", "10.1"),

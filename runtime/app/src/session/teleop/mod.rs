@@ -7,7 +7,8 @@
 //! ```
 //!
 //! A hand moves its arm only while it holds the clutch. At each clutch-in, position and orientation start from what the arm is commanded
-//! to be at, so nothing jumps. Hands that are not heard of for [`STALE_NS`], a page that goes, is hidden or loses the right to steer, and
+//! to be at, so nothing jumps; a controller engages once it is held as its
+//! instrument points (`alignment`). Hands that are not heard of for [`STALE_NS`], a page that goes, is hidden or loses the right to steer, and
 //! anything that makes no sense release the clutch by force (`Lost`): then the arm holds until the operator has let the clutch go and
 //! takes it again.
 //!
@@ -18,6 +19,7 @@
 //! **Frame.** A hand moves in the axes of the endoscope's picture: x to the right, y up, z towards the viewer (those of WebXR, whose
 //! viewer looks along -z). What one sees moves and turns the way the hand does.
 
+mod alignment;
 mod clutch;
 mod demonstration;
 mod desk;
@@ -38,6 +40,7 @@ use hal::{JointVector, PerArm, TimeNs, TipTarget};
 use trocar_control::{OperatingState, OperatorEvent};
 use trocar_log::TickRecord;
 
+pub use alignment::{ALIGNS_DEG, DEFAULT_ALIGN_DEG};
 pub(crate) use clutch::Lost;
 pub(crate) use demonstration::Demonstrating;
 pub use demonstration::{Demonstration, Moment, Wish};

@@ -12,6 +12,8 @@ pub(crate) struct TeleopStatus {
     /// Whether the hands are devices at the run's own computer.
     pub(super) desk: bool,
     pub(super) scale: f64,
+    /// Within which angle of its instrument a tracked controller engages, degrees.
+    pub(super) align_deg: f64,
     /// Who drives, if there is a policy beside the hands.
     pub(super) driver: Option<Driver>,
     pub(super) arms: Vec<ArmStatus>,
@@ -28,6 +30,8 @@ pub(super) struct ArmStatus {
     pub(super) engaged: bool,
     /// Why it was released by force, if it was.
     pub(super) lost: Option<String>,
+    /// By how much the hand, which holds the clutch, is held otherwise than its instrument points, degrees, if that keeps it from engaging.
+    pub(super) misaligned_deg: Option<f64>,
     /// Where the tip is commanded to be, in the picture's axes from the lens, m, and as a unit quaternion x, y, z, w.
     pub(super) tip: Option<[f64; 7]>,
     /// How far the jaw is closed, 0 to 1 as the trigger says it.

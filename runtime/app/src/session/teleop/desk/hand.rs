@@ -76,6 +76,7 @@ impl VirtualHand {
             clutch: self.clutch,
             at: self.at.into(),
             turn: self.turn.coords.into(),
+            tracked: false,
             jaw: self.jaw,
         }
     }

@@ -99,6 +99,7 @@ impl SimulatedHand {
             clutch: matches!(self.grip, Grip::Held(_)),
             at: pose.translation.vector.into(),
             turn: [q.x, q.y, q.z, q.w],
+            tracked: false,
             jaw: (closed + trigger).clamp(0.0, 1.0),
         }
     }

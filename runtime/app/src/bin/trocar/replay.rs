@@ -1,0 +1,102 @@
+//! `trocar replay`: a log recomputed and shown, or a dataset.
+
+use serde::Serialize;
+use trocar::rt;
+use trocar::session::SessionError;
+use trocar::session::run::write_json;
+use trocar_data::dataset::Dataset;
+use trocar_log::replay as replaying;
+
+use crate::args::{LogArgs, ReplayArgs};
+use crate::commands::{Done, check_result, forget_result, refuse_cut};
+use crate::console;
+
+/// Time between two looks at whether a signal has come, ns.
+const CONSOLE_POLL_NS: u64 = 50_000_000;
+
+pub(crate) fn replay(args: &ReplayArgs) -> Done {
+    if args.log.file.is_dir() {
+        return look_through(args);
+    }
+    let page = args.page.open(args.viewers.foxglove)?;
+    let replayed = replay_log(&args.log);
+    let Some(page) = page else {
+        return replayed;
+    };
+    // A log that differs, or ends too early, is what one wants to see.
+    if matches!(&replayed, Ok(_) | Err(SessionError::CutLog { .. })) {
+        page.show_log(&args.log.file)?;
+        until_interrupted("the log")?;
+    }
+    page.close(None, "the console has been closed");
+    replayed
+}
+
+/// What `replay` says of a dataset.
+#[derive(Serialize)]
+struct DatasetResult<'a> {
+    task: &'a str,
+    episodes: usize,
+    frames: usize,
+}
+
+/// Reads a dataset and shows its episodes: there is nothing in them to recompute.
+fn look_through(args: &ReplayArgs) -> Done {
+    check_result(&args.log)?;
+    forget_result(&args.log)?;
+    let dir = &args.log.file;
+    if args.viewers.foxglove.is_some() {
+        return Err(SessionError::BadArgument(format!(
+            "{}: a folder is a dataset, which has no --foxglove",
+            dir.display()
+        )));
+    }
+    let page = args.page.open(None)?;
+    let dataset = Dataset::open(dir)?;
+    let result = DatasetResult {
+        task: dataset.task(),
+        episodes: dataset.episodes().len(),
+        frames: dataset.len(),
+    };
+    let DatasetResult {
+        task,
+        episodes,
+        frames,
+    } = &result;
+    console::result(&format!("{task}: {episodes} episodes, {frames} frames"));
+    if let Some(path) = &args.log.json {
+        write_json(path, &result)?;
+    }
+    if let Some(page) = page {
+        page.show_dataset(dir)?;
+        until_interrupted("the dataset")?;
+        page.close(None, "the console has been closed");
+    }
+    Ok(true)
+}
+
+/// Waits for Ctrl-C while a page shows `what`.
+fn until_interrupted(what: &str) -> Result<(), SessionError> {
+    rt::catch_interrupts().map_err(SessionError::signals)?;
+    console::note(&format!("trocar: {what} is shown; Ctrl-C ends it"));
+    while !rt::interrupted() {
+        rt::sleep_ns(CONSOLE_POLL_NS);
+    }
+    Ok(())
+}
+
+fn replay_log(args: &LogArgs) -> Done {
+    check_result(args)?;
+    forget_result(args)?;
+    let result = replaying::replay_file::<SessionError>(&args.file)?;
+    match &result.first_difference {
+        None if result.identical => console::result(&format!("identical: {} ticks", result.ticks)),
+        None => console::result(&format!("not identical after {} ticks", result.ticks)),
+        Some(difference) => console::result(&format!("differs: {difference}")),
+    }
+    if let Some(path) = &args.json {
+        write_json(path, &result)?;
+    }
+    refuse_cut(result.cut.as_deref(), args)?;
+    Ok(result.identical)
+}
