@@ -72,6 +72,25 @@ pub fn alone() -> MutexGuard<'static, ()> {
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// The process that `parent` started for `verb`, as soon as there is one; none while it is still a copy of its parent.
+#[must_use]
+pub fn child_of(parent: u32, verb: &str) -> Option<u32> {
+    let threads = fs::read_dir(format!("/proc/{parent}/task")).ok()?.flatten();
+    let lists =
+        threads.filter_map(|thread| fs::read_to_string(thread.path().join("children")).ok());
+    let children: Vec<u32> = lists
+        .flat_map(|list| {
+            let ids = list.split_whitespace().map(str::parse);
+            ids.filter_map(Result::ok).collect::<Vec<_>>()
+        })
+        .collect();
+    let is_verb = |child: &u32| {
+        let command = fs::read_to_string(format!("/proc/{child}/cmdline")).unwrap_or_default();
+        command.split('\0').nth(1) == Some(verb)
+    };
+    children.into_iter().find(is_verb)
+}
+
 /// Reads a JSON result.
 ///
 /// # Panics

@@ -8,6 +8,8 @@
     reason = "a test that fails to set up has failed; the table is what it prints"
 )]
 
+#[path = "faults/cameras.rs"]
+mod cameras;
 #[path = "faults/held_up.rs"]
 mod held_up;
 #[path = "faults/performer.rs"]
@@ -22,7 +24,7 @@ use std::thread;
 
 use hal::{Chunk, TimeNs};
 use performer::{Asks, Manner, Performer};
-use tests::{Profile, alone, json, scratch, trocar};
+use tests::{Profile, alone, child_of, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar::session::operator::{Ask, Command as Operator, ask};
 use trocar_control::OperatorEvent;
@@ -177,10 +179,12 @@ impl Run {
 
     /// The process that runs the policy.
     fn policy_process(&self) -> u32 {
-        let parent = self.process.id();
-        let children = format!("/proc/{parent}/task/{parent}/children");
-        let children = fs::read_to_string(children).unwrap();
-        children.trim().parse().unwrap()
+        child_of(self.process.id(), "policy-process").unwrap()
+    }
+
+    /// The process that draws the cameras.
+    fn cameras_process(&self) -> u32 {
+        child_of(self.process.id(), "cameras").unwrap()
     }
 
     /// The exit code and the result, if there is one.

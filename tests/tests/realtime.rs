@@ -9,6 +9,8 @@
 
 #[path = "realtime/by_hand.rs"]
 mod by_hand;
+#[path = "realtime/others_cameras.rs"]
+mod others_cameras;
 #[path = "realtime/two_arms.rs"]
 mod two_arms;
 
@@ -17,7 +19,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use hal::TimeNs;
-use tests::{Profile, alone, json, scratch, trocar};
+use tests::{Profile, alone, child_of, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar::session::operator::{Ask, Command as Operator, ask};
 use trocar_log::replay::replay;
@@ -87,22 +89,22 @@ impl Run {
 
     /// The process that runs the policy, as soon as there is one.
     fn policy_process(&self) -> Option<u32> {
-        let parent = self.process.id();
-        let children =
-            fs::read_to_string(format!("/proc/{parent}/task/{parent}/children")).unwrap();
-        let child = children.trim().parse().ok()?;
-        // Until it has become another program it is a copy of its parent.
-        let command = fs::read_to_string(format!("/proc/{child}/cmdline")).unwrap();
-        command.contains("policy-process").then_some(child)
+        child_of(self.process.id(), "policy-process")
     }
 
-    /// The policy's process and its parent, which both use shared memory.
-    fn processes(&self) -> [u32; 2] {
-        let both = [self.process.id(), self.policy_process().unwrap()];
-        for process in both {
+    /// The cameras' process, as soon as there is one.
+    fn cameras_process(&self) -> Option<u32> {
+        child_of(self.process.id(), "cameras")
+    }
+
+    /// The run's process, its policy's and its cameras', which all use shared memory.
+    fn processes(&self) -> [u32; 3] {
+        let (policy, cameras) = (self.policy_process(), self.cameras_process());
+        let all = [self.process.id(), policy.unwrap(), cameras.unwrap()];
+        for process in all {
             assert!(!shared_things(&[process]).is_empty());
         }
-        both
+        all
     }
 
     /// The exit code and the result.

@@ -10,6 +10,7 @@ mod node;
 mod port;
 mod scene;
 mod shm;
+mod snapshot;
 #[cfg(test)]
 mod tests;
 mod unfinished;
@@ -25,6 +26,9 @@ pub use scene::{
     LINE_BYTES_MAX, Line, Place, SCENE_ARMS_MAX, SceneArm, SceneReport, SceneTissue, Verdict,
 };
 pub use shm::{SHARED_MEMORY_DIR, SharedMemorySpace, shared_memory_space};
+pub use snapshot::{
+    CamerasStatus, FLAP_NODES_MAX, Flap, InstrumentParts, SCENE_THINGS_MAX, SnapshotReport,
+};
 
 /// Chunks, from the policy process to the control process; one topic an arm.
 pub type ChunkTopic = Topic<hal::Chunk>;
@@ -37,6 +41,13 @@ pub type RunControlTopic = Topic<RunControl>;
 
 /// The true state of a world in another process; one topic a world, under the first of its arms.
 pub type SceneTopic = Topic<SceneReport>;
+
+/// Where everything in a simulated scene is, from the control process to whoever draws it; one topic a run, under the first of its arms, and one
+/// under `console` for what only pages look at.
+pub type SnapshotTopic = Topic<SnapshotReport>;
+
+/// How the process that draws is doing; one topic a run, under the first of its arms.
+pub type CamerasStatusTopic = Topic<CamerasStatus>;
 
 /// How the policy process is doing; one topic a process, under the first of its arms.
 pub type PolicyStatusTopic = Topic<PolicyStatus>;

@@ -9,7 +9,7 @@ use iceoryx2::prelude::ZeroCopySend;
 use super::{
     ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameHeader, Message, PolicyHello,
     PolicyHelloTopic, PolicyStage, PolicyStatus, PolicyStatusTopic, RunCommand, RunControl,
-    RunControlTopic, Topic, TopicError, TopicNode,
+    RunControlTopic, SnapshotReport, SnapshotTopic, Topic, TopicError, TopicNode,
 };
 use hal::{ArmState, CameraFrame, Chunk, Intrinsics, JointVector, Pose, TimeNs, TipTarget};
 
@@ -350,6 +350,32 @@ fn second_publisher_and_oversized_frame_are_refused() {
         TopicNode::join("a b"),
         Err(TopicError::BadName { .. })
     ));
+}
+
+/// Cameras draw what the run has shown, those that come late the newest, and pages ask for theirs on a topic of their own.
+#[test]
+fn a_snapshot_arrives_whole() {
+    let node = node("snapshot");
+    let publisher = SnapshotTopic::publisher(&node, "psm1").unwrap();
+    let pages = SnapshotTopic::publisher(&node, "console").unwrap();
+    let mut sent = SnapshotReport {
+        stamp: TimeNs(7),
+        sequence: 3,
+        seed: u64::MAX,
+        wanted: 0b101,
+        arm_count: 2,
+        has_flap: 1,
+        ..SnapshotReport::default()
+    };
+    sent.arms[1].tip.position_m = [0.1, f64::NEG_INFINITY, -0.0];
+    sent.flap.nodes_m[207] = [1.0, f32::MIN_POSITIVE, -2.0];
+    publisher.publish(&sent).unwrap();
+    let late = SnapshotTopic::subscriber(&node, "psm1").unwrap();
+    let other = SnapshotTopic::subscriber(&node, "console").unwrap();
+    publisher.keep_alive().unwrap();
+    pages.keep_alive().unwrap();
+    assert_eq!(late.newest().unwrap(), Some(sent));
+    assert_eq!(other.newest().unwrap(), None);
 }
 
 #[test]

@@ -143,6 +143,12 @@ impl Changes {
         Ok(changed)
     }
 
+    /// Those of `files`, as they are typed.
+    pub fn of<'a>(&'a self, files: &'a [ConfigFile]) -> impl Iterator<Item = String> + 'a {
+        let of = self.0.iter().filter(|change| files.contains(&change.file));
+        of.map(ToString::to_string)
+    }
+
     /// Refuses a change of a file that is not among those that are `read`.
     ///
     /// # Errors

@@ -77,6 +77,8 @@ pub struct Plan<S = Setup> {
     pub log: Option<PathBuf>,
     /// Bytes that the log takes at most on its disk, if it has a bound; it keeps the last part.
     pub log_bytes_max: Option<u64>,
+    /// The name of the topics on which others show what the cameras of simulated arms in real time see; without it Trocar draws that.
+    pub cameras_on: Option<String>,
     /// Whether frames are drawn for the log that the policy does not need.
     pub log_frames: bool,
     /// Whether to keep pictures of the run for [`RunResult::pictures`].
@@ -100,6 +102,7 @@ impl<S> Plan<S> {
             demonstrates: false,
             log: None,
             log_bytes_max: None,
+            cameras_on: None,
             log_frames: true,
             pictures: false,
             warn: |_| (),

@@ -87,9 +87,18 @@ impl Setup {
             refused(format!("--view {view}: {error}"))
         })?;
         self = self.with_variations(options)?;
-        let Some(set) = &options.cameras else {
-            return Ok(self);
-        };
+        match &options.cameras {
+            Some(set) => self.keeping(set),
+            None => Ok(self),
+        }
+    }
+
+    /// The same setup that keeps the frames of these cameras.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] for a camera that the task has not.
+    pub fn keeping(mut self, set: &CameraSet) -> Result<Self, SessionError> {
+        let refused = |reason: String| SessionError::BadArgument(reason);
         let names = set.names(&self.task.cameras);
         let all = self.camera_names();
         for (index, name) in names.iter().enumerate() {
@@ -141,6 +150,7 @@ impl Setup {
         let left = left.ok_or_else(|| refused("no camera of this task stands in the scene"))?;
         let right = left.right_eye(BASELINE_M);
         self.task.cameras.push(right);
+        self.stereo = true;
         Ok(self)
     }
 

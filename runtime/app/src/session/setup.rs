@@ -26,10 +26,14 @@ pub struct Setup {
     pub robot: Robot,
     /// Task name.
     pub task_name: String,
+    /// The task as it was asked for: a built-in one's name, or the path of its folder.
+    pub task_asked: String,
     /// The scene.
     pub task: TaskConfig,
     /// The scene file, if it is not a built-in one.
     pub scene_file: Option<String>,
+    /// Whether a second eye was added to the cameras; see [`Self::with_stereo`].
+    pub stereo: bool,
     /// Cameras whose frames were asked for; see [`Self::cameras_with`].
     pub kept_cameras: Option<Vec<String>>,
     /// Values in the place of those of the files.
@@ -94,7 +98,9 @@ impl Setup {
             robot,
             task: task_config,
             task_name: files.name,
+            task_asked: task.to_owned(),
             scene_file: scene_file.map(|path| path.display().to_string()),
+            stereo: false,
             kept_cameras: None,
             changes,
         })

@@ -37,11 +37,6 @@ impl Views {
         self.waiting.is_empty()
     }
 
-    /// When the newest instant was.
-    pub(super) fn stamp(&self) -> Option<TimeNs> {
-        self.instant.map(|(stamp, _)| stamp)
-    }
-
     /// From now on this is the newest instant, of which [`Self::draw`] draws what pages look at.
     ///
     /// # Errors

@@ -32,6 +32,18 @@ impl FlapSnapshot {
         }
     }
 
+    /// A flap with these nodes, scene frame, m, and its mark at `mark_m` in the material.
+    #[must_use]
+    pub const fn from_parts(nodes_m: [[f32; 3]; NODES_MAX], mark_m: [f64; 2]) -> Self {
+        Self { nodes_m, mark_m }
+    }
+
+    /// All nodes as they are stored, scene frame, m; those past the flap's own number are zero.
+    #[must_use]
+    pub const fn nodes_m(&self) -> &[[f32; 3]; NODES_MAX] {
+        &self.nodes_m
+    }
+
     /// The same flap moved by `way_m`, m.
     #[must_use]
     pub fn moved(mut self, way_m: [f32; 3]) -> Self {

@@ -9,11 +9,11 @@ use clap::builder::{
 use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 
 use trocar::session::changes::Change;
-use trocar::session::drives::DEFAULT_TOPICS;
 use trocar::session::tasks;
 
 use crate::about::{CompletionsArgs, ConfigVerb, ManArgs};
 use crate::anatomy::AnatomyVerb;
+use crate::cameras::CamerasArgs;
 use crate::drives::DrivesArgs;
 use crate::environment::EnvironmentArgs;
 use crate::eval::EvalArgs;
@@ -107,6 +107,11 @@ pub(crate) enum Verb {
         after_help = "Example: trocar policy --policy config/policies/needle-lift/act-compact --name lab\n         trocar run --task needle-lift --policy external:lab --set control.aggregation.mode=newest\n\nIt answers one session after another, in lockstep or in real time, those that began before it too. A run with --set control.policy.restarts=1 holds its arms when it ends, and goes on once it was started again. Ctrl-C ends it."
     )]
     Policy(PolicyArgs),
+    /// Draw a task's cameras in a process of their own; `run` starts one itself unless its frames come from --topics.
+    #[command(
+        after_help = "Example: trocar cameras --task needle-lift --topics lab\n         trocar run --task needle-lift --policy config/policies/needle-lift/act-compact --topics lab\n\nWith --topics a run draws nothing: its policy sees what any process publishes there under its cameras' names. This one draws the run's own scene, of any seed, for one run after another; task, --scene, --needle, --view and --set must be the run's. A run with --set control.policy.restarts=1 holds its arms when the frames stop, and goes on when they come again. Ctrl-C ends it."
+    )]
+    Cameras(CamerasArgs),
     /// Record demonstrations as a LeRobot v3 dataset.
     #[command(
         after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 50 --source simulated-operator --out runs/by-hand\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied\n         trocar record --task needle-lift --episodes 100 --source expert --cameras multi --out runs/demos --resume\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the episodes in progress; what was recorded is a dataset, and the exit code is 1. A second one ends the program at once. The same command with --resume goes on, also after a crash or a full disk, and comes to the same dataset as without the break."
@@ -260,6 +265,7 @@ impl Verb {
             | Self::Completions(_)
             | Self::Man(_)
             | Self::Policy(_)
+            | Self::Cameras(_)
             | Self::PolicyProcess(_)
             | Self::Environment(_) => &None,
         };
@@ -335,7 +341,7 @@ pub(crate) struct RunArgs {
     #[arg(long, value_enum, default_value = "sim")]
     pub(crate) backend: Backend,
     /// Lockstep: virtual time, as fast as it goes, bit-reproducible.
-    #[arg(long, conflicts_with_all = ["console", "foxglove"])]
+    #[arg(long, conflicts_with_all = ["console", "foxglove", "topics"])]
     pub(crate) lockstep: bool,
     /// Random seed: the same seed gives the same run.
     #[arg(long, default_value_t = 0)]
@@ -357,9 +363,10 @@ pub(crate) struct RunArgs {
     /// With --backend can: nodes and interfaces instead of the built-in config/can.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) can_config: Option<PathBuf>,
-    /// With --backend can: the name of the topics that the emulated scene, or with --safety the cameras, publish on.
-    #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
-    pub(crate) topics: String,
+    /// The name of the topics that cameras publish on: with --backend can those of the emulated scene, or with --safety of the robot, `drives` if
+    /// not given. With --backend sim the policy then sees others' frames, of `trocar cameras` or anyone, and this run draws none.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) topics: Option<String>,
     /// Write the run's log; parent folders are made.
     #[arg(long, value_name = "FILE.mcap")]
     pub(crate) log: Option<PathBuf>,

@@ -6,6 +6,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+use trocar::session::drives::DEFAULT_TOPICS;
+
 use crate::args::{Backend, RunArgs};
 use crate::console;
 
@@ -29,7 +31,7 @@ pub(crate) fn log_of(args: &RunArgs) -> (Option<PathBuf>, Option<u64>) {
         return (args.log.clone(), args.log_max_mb.map(|mb| mb << 20));
     }
     let name = match args.backend {
-        Backend::Can => &args.topics,
+        Backend::Can => args.topics.as_deref().unwrap_or(DEFAULT_TOPICS),
         Backend::Sim => SIMULATION,
     };
     match folder().and_then(|folder| kept(&folder, name)) {

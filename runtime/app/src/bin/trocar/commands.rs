@@ -8,6 +8,7 @@ use trocar::console::Console;
 use trocar::doctor::{self, Probes};
 use trocar::rt::{self, RtProfile};
 use trocar::session::changes::{Change, Changes, ConfigFile};
+use trocar::session::drives::DEFAULT_TOPICS;
 use trocar::session::plan;
 use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
 use trocar::session::run::{RunResult, write_json};
@@ -176,8 +177,8 @@ pub(crate) fn run(args: &RunArgs) -> Done {
 
 /// A second eye is drawn here, where there is a simulator.
 fn check_stereo(args: &RunArgs) -> Result<(), SessionError> {
-    if args.headset.stereo && args.backend == Backend::Can {
-        let reason = "--stereo needs --backend sim: this run draws no cameras of arms on CAN";
+    if args.headset.stereo && (args.backend == Backend::Can || args.topics.is_some()) {
+        let reason = "--stereo needs --backend sim without --topics: this run draws no cameras of arms on CAN, nor beside others'";
         return Err(SessionError::BadArgument(reason.to_owned()));
     }
     Ok(())
@@ -220,6 +221,7 @@ fn planned<S>(args: &RunArgs, setup: S, chosen: Chosen) -> Plan<S> {
         seed: args.seed,
         log,
         log_bytes_max,
+        cameras_on: args.topics.clone().filter(|_| args.backend == Backend::Sim),
         log_frames: args.log.is_some() || args.backend == Backend::Can,
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,
@@ -315,7 +317,8 @@ fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionEr
         Backend::Can => {
             let source = can_source(args.can_config.as_ref())?;
             let source = Changes(args.set.clone()).apply(ConfigFile::Can, source)?;
-            CanOptions::load(&source, &args.topics).map(Some)
+            let topics = args.topics.as_deref().unwrap_or(DEFAULT_TOPICS);
+            CanOptions::load(&source, topics).map(Some)
         }
     }
 }

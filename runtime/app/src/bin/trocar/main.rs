@@ -6,6 +6,7 @@ mod about;
 mod anatomy;
 mod args;
 mod black_box;
+mod cameras;
 mod commands;
 mod console;
 mod drives;
@@ -115,6 +116,7 @@ fn main() -> ExitCode {
         Verb::Completions(args) => about::completions(args),
         Verb::Man(args) => about::man(args),
         Verb::Policy(args) => policy::policy(args),
+        Verb::Cameras(args) => cameras::cameras(args),
         Verb::PolicyProcess(args) => commands::policy_process(args),
         Verb::Environment(args) => environment::environment(args),
     };

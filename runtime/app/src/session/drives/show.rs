@@ -1,18 +1,15 @@
 //! What a world shows to other processes: its scene and the verdict, and what its cameras see.
 
 use hal::ARM_NAMES;
-use trocar_render::Planes;
 use trocar_tasks::cameras::{SceneCameras, SceneModel};
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::Outcome;
-use trocar_topics::{
-    CameraTopic, FrameHeader, FramePublisher, Publisher, SceneReport, SceneTopic, TopicError,
-    TopicNode,
-};
+use trocar_topics::{Publisher, SceneReport, SceneTopic, TopicError, TopicNode};
 
 use super::DrivesOptions;
 use super::bus_thread::Shown;
 use crate::mailbox::MailboxReader;
+use crate::session::published::Published;
 use crate::session::views::Views;
 use crate::session::world_report::{WorldName, report};
 use crate::session::{Plan, SessionError};
@@ -24,8 +21,8 @@ pub(super) struct Show {
     world: WorldName,
     scene: Publisher<SceneReport>,
     cameras: Option<SceneCameras>,
-    /// Cameras that are published, by index, with their topics.
-    views: Vec<(usize, FramePublisher)>,
+    /// Cameras that are published.
+    views: Vec<Published>,
     shown: MailboxReader<Shown>,
     /// What pages look at besides.
     page: Option<Views>,
@@ -62,11 +59,9 @@ impl Show {
             names.retain(|_| options.cameras);
             let wanted: Vec<usize> = names.iter().filter_map(|name| opened.find(name)).collect();
             for camera in wanted {
-                let pixels = opened.intrinsics(camera)?.pixel_count();
-                let publisher = CameraTopic::publisher(&node, opened.name(camera)?, pixels)?;
-                let mut frame = opened.blank_frame(camera)?;
-                opened.render(camera, start, &mut frame)?;
-                views.push((camera, publisher));
+                let view = Published::open(&node, &opened, camera, str::to_owned)?;
+                view.warm_up(&mut opened, start)?;
+                views.push(view);
             }
             cameras = Some(opened);
         }
@@ -86,8 +81,8 @@ impl Show {
     pub(super) fn turn(&mut self, say: &mut dyn FnMut(&str)) -> Result<(), SessionError> {
         let Some(shown) = self.shown.take() else {
             self.scene.keep_alive()?;
-            for (_, publisher) in &self.views {
-                publisher.keep_alive()?;
+            for view in &self.views {
+                view.keep_alive()?;
             }
             self.draw_for_page(say);
             return Ok(());
@@ -136,19 +131,9 @@ impl Show {
         let Some(cameras) = &mut self.cameras else {
             return Ok(());
         };
-        for (camera, publisher) in &self.views {
-            let pose = cameras.pose(*camera, &shown.snapshot)?;
-            let lens = cameras.intrinsics(*camera)?;
-            let header = FrameHeader::new(shown.stamp, shown.sequence, lens, &pose);
-            let mut loan = publisher.loan(&header)?;
-            let (colour, depth_m, instance) = loan.planes();
-            let planes = Planes {
-                colour,
-                depth_m,
-                instance,
-            };
-            cameras.render_into(*camera, &shown.snapshot, planes)?;
-            loan.send()?;
+        for view in &self.views {
+            let at = (shown.stamp, shown.sequence);
+            view.draw(cameras, at, &shown.snapshot)?;
         }
         Ok(())
     }

@@ -1,4 +1,5 @@
-//! What the simulated arms measure at a policy step, on topics for a policy process: past the cameras, which may be slow or not there.
+//! What is at a policy step, on topics: the simulated arms for a policy process, past the cameras, which may be slow or not there, and where everything
+//! is for whoever draws it.
 
 use std::thread;
 use std::time::Duration;
@@ -8,14 +9,17 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_topics::{ArmReport, ArmStateTopic, Publisher, TopicNode};
 
 use super::policy_process::arm_names;
+use super::scene_topics::{SceneForCameras, SceneForPages, Snapshot, show_pages};
 use super::signals::{EndsRun, Signals};
+use crate::mailbox::MailboxReader;
+use crate::rt::MonotonicClock;
 use crate::session::SessionError;
 
 /// Steps that may wait for the thread, of which a reader finds no more anyway.
 const QUEUE: usize = 16;
 
 /// Time between two looks at whether the run is over, and for readers that have come since.
-pub(super) const IDLE: Duration = Duration::from_millis(10);
+const IDLE: Duration = Duration::from_millis(10);
 
 /// The arms at a policy step.
 #[derive(Clone, Copy, Debug)]
@@ -24,34 +28,57 @@ pub(super) struct StepStates {
     pub(super) arms: PerArm<SeenArm>,
 }
 
-/// The thread before it runs. Whoever puts states into its queue wakes it.
+/// The thread before it runs. Whoever puts something into its queue or mailboxes wakes it.
 pub(super) struct StatesThread {
-    /// One an arm.
+    /// For a policy process that is shown the arms at each step, one an arm.
     topics: Vec<Publisher<ArmReport>>,
     states: Consumer<StepStates>,
+    scene: Option<(SceneForCameras, MailboxReader<Snapshot>)>,
+    pages: Option<SceneForPages>,
 }
 
 impl StatesThread {
-    /// Opens the topics of `arms` arms; also gives the end of the queue for their states.
+    /// Shows `scene` and `pages`, and on the topics of `node` the states of `arms` arms; also gives the end of the queue for these.
     pub(super) fn open(
-        node: &TopicNode,
-        arms: usize,
+        arms: Option<(&TopicNode, usize)>,
+        scene: Option<(SceneForCameras, MailboxReader<Snapshot>)>,
+        pages: Option<SceneForPages>,
     ) -> Result<(Self, Producer<StepStates>), SessionError> {
-        let topics = arm_names(arms).map(|arm| ArmStateTopic::publisher(node, arm));
         let (to, states) = RingBuffer::new(QUEUE);
-        let topics = topics.collect::<Result<_, _>>()?;
-        Ok((Self { topics, states }, to))
+        let topics = arms.into_iter().flat_map(|(node, arms)| {
+            arm_names(arms).map(move |arm| ArmStateTopic::publisher(node, arm))
+        });
+        let thread = Self {
+            topics: topics.collect::<Result<_, _>>()?,
+            states,
+            scene,
+            pages,
+        };
+        Ok((thread, to))
     }
 
-    /// Publishes states until the control thread has stopped.
-    pub(super) fn run(mut self, signals: &Signals) -> Result<(), SessionError> {
+    /// Publishes, by the run's `clock`, until the control thread has stopped.
+    pub(super) fn run(
+        mut self,
+        clock: MonotonicClock,
+        signals: &Signals,
+    ) -> Result<(), SessionError> {
         let _ends = EndsRun(signals);
         while !signals.stopped() {
-            while let Ok(StepStates { step, arms }) = self.states.pop() {
-                for (topic, arm) in self.topics.iter().zip(arms.iter()) {
+            while let Ok(StepStates { step, mut arms }) = self.states.pop() {
+                for (topic, arm) in self.topics.iter().zip(arms.iter_mut()) {
+                    // Instants on topics are the system's, which all processes share.
+                    arm.state.stamp = clock.to_system(arm.state.stamp);
                     topic.publish(&ArmReport::new(step, &arm.state, &arm.tip_in_rcm))?;
                 }
             }
+            if let Some((scene, snapshots)) = &mut self.scene {
+                match snapshots.take() {
+                    Some(snapshot) => scene.show(&snapshot, clock)?,
+                    None => scene.keep_alive()?,
+                }
+            }
+            show_pages(&mut self.pages, clock, signals);
             for topic in &self.topics {
                 topic.keep_alive()?;
             }

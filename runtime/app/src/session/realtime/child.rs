@@ -1,9 +1,11 @@
 //! The policy process as its parent sees it: started, waited for, listened to, and told to go.
 
+use std::ffi::OsString;
 use std::path::Path;
 
 use hal::{Chunk, PolicyError, TimeNs};
-use trocar_nets::compute::Compute;
+use tch::Device;
+use trocar_nets::compute::{Arithmetic, Compute};
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_topics::{
     Events, PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, Reply, RunCommand, RunControl,
@@ -11,9 +13,10 @@ use trocar_topics::{
 };
 
 use super::arm_chunks::ArmChunks;
-use super::on_can::{PATIENCE_NS, Say};
-use super::own_process::{OwnProcess, Spawned, fresh_run_id};
+use super::on_can::Say;
+use super::own_process::{OwnProcess, Spawned};
 use super::policy_process::FIRST_ARM;
+use super::supervisor::{Remote, await_ready};
 use crate::rt::{self, MonotonicClock};
 use crate::session::external::{ExternalChoice, ExternalLink, LOOK_NS};
 use crate::session::source::{STEP_NS, camera_names};
@@ -32,14 +35,12 @@ const ANSWER_NS_MAX: u64 = 10_000_000_000;
 /// Time between two looks at whether an external policy is there, ns.
 const LOOK_EVERY_NS: u64 = 20_000_000;
 
-/// Where frames come from that another process shows.
+/// The topics on which frames are.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Outside<'a> {
-    /// The name of its topics.
+    /// Their name.
     pub(super) topics: &'a str,
-    /// The run's clock.
-    pub(super) clock: MonotonicClock,
-    /// How far a frame may be from the instant of an observation, ms.
+    /// How far a frame may be from the instant of an observation, ms: 0 of cameras that draw the run's own scene.
     pub(super) frames_within_ms: u64,
 }
 
@@ -49,7 +50,7 @@ impl Outside<'_> {
         match choice.name.as_ref().filter(|name| **name != self.topics) {
             None => Ok(self.topics),
             Some(name) => Err(SessionError::BadArgument(format!(
-                "--policy external:{name}: with --backend can it is on the topics of the cameras, --topics {}",
+                "--policy external:{name}: it is on the topics of the cameras, --topics {}",
                 self.topics
             ))),
         }
@@ -58,7 +59,7 @@ impl Outside<'_> {
 
 /// Whose process it is.
 enum Peer {
-    Own(Box<OwnProcess>),
+    Own(Box<OwnProcess<PolicyStatus>>),
     /// Somebody else's, which is told to stop and left to itself.
     External(Box<ExternalLink>),
 }
@@ -121,7 +122,7 @@ impl Peer {
     /// What it is called where a run ends with it.
     fn who(&self) -> String {
         match self {
-            Self::Own(_) => "the policy process".to_owned(),
+            Self::Own(own) => own.who().to_owned(),
             Self::External(link) => format!("external policy {:?}, {},", link.name, link.who()),
         }
     }
@@ -129,10 +130,7 @@ impl Peer {
     /// Why it says no more in `episode`, if so.
     fn ended(&mut self, episode: u64) -> Result<Option<String>, SessionError> {
         match self {
-            Self::Own(own) => {
-                let exit = own.process.try_wait().ok().flatten();
-                Ok(exit.map(|exit| format!("the policy process ended: {exit}")))
-            }
+            Self::Own(own) => Ok(own.exit()),
             Self::External(link) => {
                 if let Some(reply) = link.replies.newest()?
                     && reply.episode == episode
@@ -154,7 +152,6 @@ pub(super) struct PolicyChild {
     chunks: ArmChunks,
     query_every_steps: u64,
     history_steps: u64,
-    cameras: Vec<String>,
     queries: u64,
     /// What the policy depends on that is random.
     seed: u64,
@@ -165,9 +162,10 @@ pub(super) struct PolicyChild {
     numbered_from: u64,
     /// No observation of before, by the run's clock, is answered any more.
     since: TimeNs,
+    /// Of its own: when it was heard and looked at.
     clock: MonotonicClock,
-    /// The run's clock, if the policy's observations have the system's instants.
-    outside: Option<MonotonicClock>,
+    /// The run's clock, once there is one: instants on topics are the system's.
+    of_run: MonotonicClock,
     heard: TimeNs,
     /// When it last answered, or was first asked for its answers.
     answered: Option<TimeNs>,
@@ -179,43 +177,25 @@ impl PolicyChild {
     /// Starts the process and waits until it has loaded the checkpoint in `policy`.
     ///
     /// It is loaded here first, as `network`: a bad one is refused with its reason before any process or thread is started.
-    /// With `outside`, the frames come on topics of another process, whose instants are the system's.
+    /// Its topics, and the frames, are `outside`.
     pub(super) fn start(
         network: &LoadedPolicy,
         policy: &Path,
         (seed, compute): (u64, Compute),
-        outside: Option<Outside<'_>>,
+        outside: Outside<'_>,
         say: Say<'_>,
     ) -> Result<Self, SessionError> {
         let query_every_steps = u64::from(network.recipe().query_every_steps).max(1);
         let history_steps = hal::Policy::history_steps(network);
-        let cameras = camera_names(network);
-        let run_id = match outside {
-            Some(Outside { topics, .. }) => topics.to_owned(),
-            None => fresh_run_id()?,
-        };
-        let within_ms = outside.map_or(0, |outside| outside.frames_within_ms);
-        let node = TopicNode::join(&run_id)?;
+        let node = TopicNode::join(outside.topics)?;
         let control = RunControlTopic::publisher(&node, FIRST_ARM)?;
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
         let chunks = ArmChunks::open(&node, network.recipe().arms)?;
-        let spawned = Spawned {
-            run_id,
-            policy: policy.to_owned(),
-            compute,
-            frames_within_ms: within_ms,
-        };
-        let own = OwnProcess {
-            process: spawned.start()?,
-            spawned,
-            node,
-            control,
-            status,
-            listens: false,
-        };
-        let shown = (query_every_steps, history_steps, cameras);
+        let spawned = policy_verb(policy, compute, outside);
+        let own = OwnProcess::start(spawned, node, (control, status))?;
+        let shown = (query_every_steps, history_steps);
         let peer = Peer::Own(Box::new(own));
-        let mut child = Self::new(peer, chunks, shown, seed, outside)?;
+        let mut child = Self::new(peer, chunks, shown, seed)?;
         child.wait_until_ready(LOAD_NS_MAX, say)?;
         Ok(child)
     }
@@ -225,15 +205,14 @@ impl PolicyChild {
         link: ExternalLink,
         arms: usize,
         seed: u64,
-        outside: Option<Outside<'_>>,
         say: Say<'_>,
     ) -> Result<Self, SessionError> {
         let within_ns = link.within_ns;
         let chunks = ArmChunks::open(&link.node, arms)?;
-        let (hello, cameras) = (&link.hello, link.cameras.clone());
-        let shown = (hello.query_every_steps, hello.history_steps, cameras);
+        let hello = &link.hello;
+        let shown = (hello.query_every_steps, hello.history_steps);
         let peer = Peer::External(Box::new(link));
-        let mut child = Self::new(peer, chunks, shown, seed, outside)?;
+        let mut child = Self::new(peer, chunks, shown, seed)?;
         child.wait_until_ready(within_ns, say)?;
         Ok(child)
     }
@@ -241,16 +220,14 @@ impl PolicyChild {
     fn new(
         peer: Peer,
         chunks: ArmChunks,
-        (query_every_steps, history_steps, cameras): (u64, u64, Vec<String>),
+        (query_every_steps, history_steps): (u64, u64),
         seed: u64,
-        outside: Option<Outside<'_>>,
     ) -> Result<Self, SessionError> {
         Ok(Self {
             events: peer.node().events()?,
             chunks,
             query_every_steps,
             history_steps,
-            cameras,
             queries: 0,
             seed,
             episode: peer.first_episode(),
@@ -258,7 +235,7 @@ impl PolicyChild {
             numbered_from: 0,
             since: TimeNs(0),
             clock: MonotonicClock::new(),
-            outside: outside.map(|outside| outside.clock),
+            of_run: MonotonicClock::new(),
             heard: TimeNs(0),
             answered: None,
             looked: TimeNs(0),
@@ -267,35 +244,9 @@ impl PolicyChild {
     }
 
     fn wait_until_ready(&mut self, within_ns: u64, say: Say<'_>) -> Result<(), SessionError> {
-        let mut said = false;
         self.tell_to_begin()?;
-        while self.clock.now().0 < within_ns {
-            if self.is_ready()? {
-                return Ok(());
-            }
-            if let Some(reason) = self.ended()? {
-                return Err(SessionError::RealTime(format!("{reason}, while loading")));
-            }
-            if rt::interrupted() {
-                return Err(SessionError::RealTime(
-                    "interrupted before the run began".to_owned(),
-                ));
-            }
-            if !said && self.clock.now().0 > PATIENCE_NS {
-                said = true;
-                say(&format!(
-                    "waiting for {} to be ready, for {} s at most; no arm is enabled",
-                    self.peer.who(),
-                    within_ns / 1_000_000_000
-                ));
-            }
-            rt::wait(&self.events, LOOK_NS);
-        }
-        Err(SessionError::RealTime(format!(
-            "{} did not become ready in {} s",
-            self.peer.who(),
-            within_ns / 1_000_000_000
-        )))
+        let events = self.peer.node().events()?;
+        await_ready(self, (self.clock, within_ns), &events, say)
     }
 
     fn tell_to_begin(&self) -> Result<(), SessionError> {
@@ -305,82 +256,14 @@ impl PolicyChild {
         Ok(())
     }
 
-    /// Whether it has begun as it was told, and answers from now on.
-    fn is_ready(&mut self) -> Result<bool, SessionError> {
-        self.peer.keep_alive()?;
-        let status = self.peer.status().newest()?;
-        let ready = status.is_some_and(|status| {
-            status.stage() == PolicyStage::Ready && status.episode == self.episode
-        });
-        if ready {
-            self.heard = self.clock.now();
-            self.answered = None;
-            if let Peer::Own(own) = &mut self.peer {
-                own.listens = true;
-            }
-        }
-        Ok(ready)
+    /// From now on instants are those of the run's `clock`.
+    pub(super) const fn follow(&mut self, clock: MonotonicClock) {
+        self.of_run = clock;
     }
 
     /// Waits until it may have said something, or for [`LOOK_NS`].
     pub(super) fn wait(&self) {
         rt::wait(&self.events, LOOK_NS);
-    }
-
-    /// Whether an end of it can be seen while it is away: an external policy may come back as another process.
-    pub(super) const fn is_own(&self) -> bool {
-        matches!(self.peer, Peer::Own(_))
-    }
-
-    /// Begins anew with a policy that has died or hangs: our own process is started again, an external one is told to begin again and
-    /// may be another process by then. Nothing that was said before counts.
-    pub(super) fn call_again(&mut self) -> Result<(), SessionError> {
-        if let Peer::Own(own) = &mut self.peer {
-            own.start_again()?;
-        }
-        self.episode += 1;
-        self.queries = 0;
-        self.numbered_from = self.highest;
-        self.tell_to_begin()
-    }
-
-    /// Whether it is back, at `now` by the run's clock.
-    pub(super) fn is_back(&mut self, now: TimeNs) -> Result<bool, SessionError> {
-        if let Peer::External(link) = &mut self.peer {
-            link.welcome()?;
-        }
-        let back = self.is_ready()?;
-        if back {
-            // What its predecessor has left, and what it has said itself before it began anew.
-            let _stale = self.chunks.newest()?;
-            self.since = now;
-        }
-        Ok(back)
-    }
-
-    /// Why its process says no more, if so; whether an external one is there is looked at now and then.
-    pub(super) fn ended(&mut self) -> Result<Option<String>, SessionError> {
-        let now = self.clock.now();
-        if matches!(self.peer, Peer::External(_)) && now.since(self.looked) < LOOK_EVERY_NS {
-            return Ok(None);
-        }
-        self.looked = now;
-        self.peer.ended(self.episode)
-    }
-
-    /// What it is called in messages.
-    pub(super) fn who(&self) -> String {
-        self.peer.who()
-    }
-
-    /// Names of the cameras that the policy looks through.
-    pub(super) fn cameras(&self) -> Vec<String> {
-        self.cameras.clone()
-    }
-
-    /// The node that this run's topics live on.
-    pub(super) const fn node(&self) -> &TopicNode {
-        self.peer.node()
     }
 
     /// Policy steps from one query to the next.
@@ -404,15 +287,11 @@ impl PolicyChild {
         if answer.is_some() || self.answered.is_none() {
             self.answered = Some(self.clock.now());
         }
-        let outside = self.outside;
-        let observed_at = |chunk: &Chunk| match &outside {
-            Some(clock) => clock.from_system(chunk.observed_at),
-            None => chunk.observed_at,
-        };
+        let of_run = self.of_run;
         let numbered_from = self.numbered_from;
         let answer = answer.map(|chunks| {
             chunks.map(|chunk| Chunk {
-                observed_at: observed_at(&chunk),
+                observed_at: of_run.from_system(chunk.observed_at),
                 // A process that begins anew counts from the beginning, and the gate wants to see them rise.
                 sequence: chunk.sequence.saturating_add(numbered_from),
                 ..chunk
@@ -435,9 +314,70 @@ impl PolicyChild {
         self.queries = status.queries;
         Ok(fresh.then_some(status.infer_ns))
     }
+}
+
+impl Remote for PolicyChild {
+    fn who(&self) -> String {
+        self.peer.who()
+    }
+
+    fn is_own(&self) -> bool {
+        matches!(self.peer, Peer::Own(_))
+    }
+
+    /// Our own process is started again; an external one is told to begin again, and may be another process by then.
+    fn call_again(&mut self) -> Result<(), SessionError> {
+        if let Peer::Own(own) = &mut self.peer {
+            own.start_again()?;
+        }
+        self.episode += 1;
+        self.queries = 0;
+        self.numbered_from = self.highest;
+        self.tell_to_begin()
+    }
+
+    /// Whether it has begun as it was told, and answers from now on.
+    fn is_ready(&mut self) -> Result<bool, SessionError> {
+        self.peer.keep_alive()?;
+        let status = self.peer.status().newest()?;
+        let ready = status.is_some_and(|status| {
+            status.stage() == PolicyStage::Ready && status.episode == self.episode
+        });
+        if ready {
+            self.heard = self.clock.now();
+            self.answered = None;
+            if let Peer::Own(own) = &mut self.peer {
+                own.listens = true;
+            }
+        }
+        Ok(ready)
+    }
+
+    fn is_back(&mut self, now: TimeNs) -> Result<bool, SessionError> {
+        if let Peer::External(link) = &mut self.peer {
+            link.welcome()?;
+        }
+        let back = self.is_ready()?;
+        if back {
+            // What its predecessor has left, and what it has said itself before it began anew.
+            let _stale = self.chunks.newest()?;
+            self.since = now;
+        }
+        Ok(back)
+    }
+
+    /// Whether an external one is there is looked at now and then.
+    fn ended(&mut self) -> Result<Option<String>, SessionError> {
+        let now = self.clock.now();
+        if matches!(self.peer, Peer::External(_)) && now.since(self.looked) < LOOK_EVERY_NS {
+            return Ok(None);
+        }
+        self.looked = now;
+        self.peer.ended(self.episode)
+    }
 
     /// Why no more chunks will come, if so.
-    pub(super) fn end(&mut self) -> Option<String> {
+    fn lost(&mut self) -> Option<String> {
         match self.ended() {
             Ok(None) => {}
             Ok(Some(reason)) => return Some(reason),
@@ -464,6 +404,38 @@ impl PolicyChild {
                 }
             }
         })
+    }
+}
+
+/// The hidden verb that runs the checkpoint in `policy`.
+fn policy_verb(policy: &Path, compute: Compute, outside: Outside<'_>) -> Spawned {
+    let device = if compute.device == Device::Cpu {
+        "cpu"
+    } else {
+        "cuda"
+    };
+    let precision = match compute.arithmetic {
+        Arithmetic::F32 => "f32",
+        Arithmetic::Bf16 => "bf16",
+    };
+    let (threads, within_ms) = (compute.threads, outside.frames_within_ms);
+    let options = [
+        ("--run-id", OsString::from(outside.topics)),
+        ("--policy", policy.into()),
+        ("--device", device.into()),
+        ("--precision", precision.into()),
+        ("--threads", threads.to_string().into()),
+        ("--frames-within-ms", within_ms.to_string().into()),
+    ];
+    let options = options
+        .into_iter()
+        .flat_map(|(name, value)| [name.into(), value]);
+    Spawned {
+        who: "the policy process",
+        arguments: [OsString::from("policy-process")]
+            .into_iter()
+            .chain(options)
+            .collect(),
     }
 }
 

@@ -1,12 +1,19 @@
-//! A real-time run of one arm or two: the control thread on its own, its neighbours on theirs, the network in its own process.
+//! A real-time run of one arm or two: the control thread on its own, its neighbours on theirs, the network and the cameras in processes of their own.
 //!
 //! ```text
 //!  simulation thread (1 kHz) ── measured ──> control thread (1 kHz, SCHED_FIFO) ── commands ──> simulation thread
-//!     │ scene         │ arms                                 ▲ chunks      │ ticks
-//!     ▼               ▼                                      │             ▼
-//!  camera thread   states thread                       first thread     log thread
-//!     └─ frames ──────┴─ arms ──> policy process ── chunks ──┘
+//!     │ arms, scene                                          ▲ chunks      │ ticks
+//!     ▼                                                      │             ▼
+//!  states thread ── arms ──> policy process ── chunks ─> first thread   log thread
+//!     │ scene                     ▲ frames                                 ▲ frames
+//!     └────────────────> cameras' process ── frames ──────────────────> frames thread
 //! ```
+//!
+//! Both processes are started by the run, load side by side, and are supervised alike ([`Supervision`](trocar_control::Supervision)): one that dies or
+//! hangs is started again, and the arms hold meanwhile if their policy needs it. Between processes there are topics alone. Where nobody
+//! looks, no policy, no log, no console, there is no cameras' process. What pages of the console look at is drawn there too, on topics of its own.
+//! With [`Plan::cameras_on`] nothing is drawn here: frames are others', the arms are shown as they were when these were taken, and cameras are watched
+//! as a robot's are. Instants on topics are the system's `CLOCK_MONOTONIC`.
 //!
 //! Everything that reaches the control thread comes through wait-free mailboxes and queues. What is of one instant travels
 //! together: all arms' measurements, commands and chunks; only on the topics has each arm its own. A command travels with its
@@ -16,11 +23,14 @@
 
 mod arm_chunks;
 mod arm_states;
-mod camera_thread;
+mod cameras;
+mod cameras_child;
+mod cameras_process;
 mod child;
 mod control_thread;
 mod drivers;
 mod ended;
+mod frames_thread;
 mod hold;
 pub(super) mod observed;
 mod observers;
@@ -29,10 +39,12 @@ mod opened;
 mod own_process;
 mod policy_process;
 mod robot;
+mod scene_topics;
 mod shown;
 mod signals;
 mod simulation_thread;
 mod supervised;
+mod supervisor;
 mod threads;
 mod timing;
 mod watch;
@@ -42,9 +54,10 @@ use std::sync::Arc;
 
 use hal::{ArmState, Chunk, TICK_NS};
 use rtrb::{Consumer, RingBuffer};
-use trocar_tasks::simulation::Rendering;
+use trocar_tasks::simulation::{Rendering, Simulation};
 use trocar_tasks::task::Outcome;
 
+pub use cameras_process::{CamerasOptions, serve_cameras};
 pub use on_can::{CanOptions, Say, run_on_can, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
 pub use robot::{RobotOptions, run_rig};
@@ -60,13 +73,15 @@ use super::{Plan, SessionError, episode};
 use crate::mailbox::mailbox;
 use crate::rig::threads::ThreadsRig;
 use crate::rt::{self, MonotonicClock, Periodic};
-use camera_thread::CameraEnd;
-use child::PolicyChild;
+use cameras::Stage;
+use child::{Outside, PolicyChild};
 use control_thread::ControlThread;
 use drivers::Drivers;
 use ended::closed;
+use frames_thread::FramesEnd;
 use hal::PerArm;
 use observers::Observers;
+use on_can::FRAMES_WITHIN_MS;
 use opened::Opened;
 use shown::show_task;
 use signals::{Moving, Signals};
@@ -83,7 +98,8 @@ const COMMANDS: usize = 1000;
 /// Time for every thread to be up before the first period, ns.
 const START_NS: u64 = 20_000_000;
 
-/// Runs one episode in real time against the simulated arms; `say` tells what is waited for.
+/// Runs one episode in real time against the simulated arms; `say` tells what is waited for. The processes of policy and cameras are verbs of the
+/// program that calls this, which is to be `trocar`.
 ///
 /// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason `interrupted`; until they rest it takes three
 /// to end the process at once.
@@ -93,32 +109,39 @@ const START_NS: u64 = 20_000_000;
 pub fn run_realtime(plan: &Plan, say: Say<'_>) -> Result<RunResult, SessionError> {
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
     plan.real_time.check()?;
-    let (mut child, source) = Opened::open(plan, None)?.start(plan, None, say)?;
-    let (ends, log) = run_threads(plan, source, child.as_mut())?;
+    let others = plan.cameras_on.as_deref().map(|topics| Outside {
+        topics,
+        frames_within_ms: FRAMES_WITHIN_MS,
+    });
+    let policy = Opened::open(plan, others.as_ref())?;
+    // Each loads while the others do.
+    let mut stage = Stage::open(plan, &policy)?;
+    let simulation = plan.simulation(Rendering::Off)?;
+    let (mut child, source) = policy.start(plan, stage.outside(plan), say)?;
+    stage.wait(plan, &simulation.snapshot(), say)?;
+    let (ends, log) = run_threads(plan, (simulation, stage), source, child.as_mut())?;
     conclude(plan, ends, log)
 }
 
-/// The simulation and, if there are any, the cameras.
-type Simulated = (SimulationEnd, Option<CameraEnd>);
+/// The simulation, and whoever takes the frames.
+type Simulated = (SimulationEnd, FramesEnd);
 
 fn run_threads(
     plan: &Plan,
+    (simulation, stage): (Simulation, Stage),
     source: Option<ChunkSource>,
     child: Option<&mut PolicyChild>,
 ) -> Result<(Ends<ThreadsRig, Simulated>, Option<LogFile>), SessionError> {
-    let simulation = plan.simulation(Rendering::Off)?;
     let controller = plan.setup.controller()?;
     let (measured_in, measured) = mailbox::<PerArm<ArmState>>();
     let (commands, commands_out) = pre_faulted_queue(COMMANDS);
     let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
     let (listener, mut operator) = listen(true);
     let port = (listener.as_ref(), &mut operator);
-    let console = show_task(plan, &simulation.snapshot(), port)?.unzip();
+    let console = show_task(plan, &simulation.snapshot(), port)?;
     let (intervention, hands) = intervention(plan).unzip();
     let signals = Arc::new(Signals::of(plan.console.as_ref()));
-    // Slow things first: opening a device takes longer than an episode's first second.
-    let start = simulation.snapshot();
-    let (observers, shown) = Observers::open(plan, child.as_deref(), console, &start)?;
+    let (observers, shown) = Observers::open(plan, stage, child.as_deref(), console)?;
     let (tick_log, side_log, log) = split(plan.open_log(false)?);
     let clock = MonotonicClock::new();
     if let Some(console) = &plan.console {
@@ -156,7 +179,7 @@ fn run_threads(
         let _moving = Moving;
         Ok(control_thread.run(clock))
     };
-    let simulate = || observers.run(simulation_thread, (clock, first), side_log, &signals);
+    let simulate = || observers.run(plan, simulation_thread, (clock, first), side_log, &signals);
     let ends = threads::run(remote, (&signals, listener.as_ref()), control, simulate);
     Ok((ends, log))
 }
@@ -211,7 +234,7 @@ fn conclude(
     let others = seen.and_then(|seen| Ok((watched?, seen)));
     let ended = match &others {
         Err(error) => Ended::task(false, error.to_string(), None),
-        Ok((watched, (simulation, _))) => {
+        Ok((watched, (simulation, frames))) => {
             control.tally.inferences(&watched.inference);
             control.tally.restarts(watched.restarts);
             control.tally.inferences(&simulation.inference);
@@ -225,18 +248,18 @@ fn conclude(
                 Some(wish) => wish == Wish::Keep,
                 None => matches!(simulation.outcome, Outcome::Success),
             };
+            let ended_by = watched.ended_by.clone().or_else(|| frames.ended_by.clone());
             Ended::task(
-                success && watched.ended_by.is_none(),
-                watched.ended_by.clone().unwrap_or_else(verdict),
+                success && ended_by.is_none(),
+                ended_by.unwrap_or_else(verdict),
                 simulation.tissue.map(TissueSummary::from),
             )
         }
     };
     let result = closed(plan, &control, &ended, log);
-    let (_, (simulation, camera)) = others?;
-    let pictures = camera.and_then(|camera| camera.pictures);
+    let (_, (simulation, frames)) = others?;
     Ok(RunResult {
-        pictures: pictures.unwrap_or_default(),
+        pictures: frames.pictures.unwrap_or_default(),
         demonstration: simulation.demonstration,
         ..result
     })

@@ -1,107 +1,187 @@
-//! Who is shown the policy steps of simulated arms: the cameras, which draw the scene, and the thread that publishes the arms' state.
+//! Who is shown simulated arms beside the controller: the threads between the simulation and the topics, which shows them to other processes, and
+//! takes the frames of these.
 
+use std::sync::Arc;
 use std::thread;
 
-use hal::TimeNs;
+use hal::{ArmState, PerArm, TimeNs};
 use trocar_log::SideLog;
-use trocar_tasks::scene::SceneSnapshot;
 
 use super::Simulated;
 use super::arm_states::StatesThread;
-use super::camera_thread::{CameraThread, ConsoleCameras, Snapshot};
+use super::cameras::{Cameras, Stage};
 use super::child::PolicyChild;
+use super::frames_thread::{FramesEnd, FramesThread};
+use super::on_can::{Camera, News, arm_reports};
+use super::robot::{RobotOptions, RobotThread};
+use super::scene_topics::{SceneForPages, Snapshot};
 use super::signals::Signals;
 use super::simulation_thread::{ConsoleView, Shown, SimulationThread};
 use super::threads::joined;
-use crate::mailbox::mailbox;
+use super::wires::SeenWires;
+use crate::mailbox::{MailboxReader, mailbox};
 use crate::rt::{self, MonotonicClock};
 use crate::session::{Plan, SessionError};
+use trocar_topics::{ArmReport, Events, Publisher};
 
 /// Time between two looks at what a log without frames is to say, ns.
 const TOLD_NS: u64 = 20_000_000;
 
 /// The threads before they run.
 pub(super) struct Observers {
-    cameras: Option<CameraThread>,
+    frames: Frames,
     states: Option<StatesThread>,
 }
 
+/// Where frames come from.
+enum Frames {
+    /// There are none.
+    None,
+    /// Our cameras' process.
+    Own(Box<FramesThread>),
+    /// Others' cameras.
+    Others(Box<Others>),
+}
+
+/// What the thread that watches others' cameras is made of.
+struct Others {
+    cameras: (Vec<Camera>, usize),
+    /// For a policy process, one an arm.
+    reports: Vec<Publisher<ArmReport>>,
+    measured: MailboxReader<PerArm<ArmState>>,
+    events: Events,
+}
+
 impl Observers {
-    /// Opens the renderer, if anything is to be drawn, and the topics of `child`, if there is one; also gives the simulation's end of both.
+    /// Opens what `stage` needs for a run of `plan` with the policy `child`, if it has one; also gives the simulation's end.
     pub(super) fn open(
         plan: &Plan,
+        stage: Stage,
         child: Option<&PolicyChild>,
-        (console_view, console_cameras): (Option<ConsoleView>, Option<ConsoleCameras>),
-        start: &SceneSnapshot,
+        console: Option<(ConsoleView, SceneForPages)>,
     ) -> Result<(Self, Shown), SessionError> {
-        let node = child.map(PolicyChild::node);
-        let names = cameras(plan, child);
-        let (scene, snapshots) = mailbox::<Snapshot>();
-        let draws = plan.wants_frames() || !names.is_empty() || console_cameras.is_some();
-        let open = || CameraThread::new(plan, &names, node, (snapshots, console_cameras), start);
-        let cameras = draws.then(open).transpose()?;
+        let (names, looked_at) = (stage.names(), stage.is_looked_at());
         let arms = plan.setup.task.arms.len();
-        let states = node.map(|node| StatesThread::open(node, arms));
+        let (console, mut pages) = console.unzip();
+        let node = stage.node.as_ref();
+        let others = matches!(stage.cameras, Cameras::Others(..));
+        if let (Cameras::Own(_), Some(node)) = (&stage.cameras, node) {
+            pages = pages.map(|pages| pages.drawn_on(plan, node)).transpose()?;
+        }
+        let mut seen = None;
+        let frames = match (stage.cameras, node) {
+            (Cameras::Own(child), Some(node)) => {
+                let thread = FramesThread::open(plan, *child, node, (&names, looked_at))?;
+                Frames::Own(Box::new(thread))
+            }
+            (Cameras::Others(cameras, looked_at), Some(node)) => {
+                let (measured_in, measured) = mailbox();
+                seen = Some(measured_in);
+                let cameras = (cameras, looked_at);
+                let reports = arm_reports(node, arms, child.is_some())?;
+                let events = node.events()?;
+                Frames::Others(Box::new(Others {
+                    cameras,
+                    reports,
+                    measured,
+                    events,
+                }))
+            }
+            (Cameras::None | Cameras::Own(_) | Cameras::Others(..), _) => Frames::None,
+        };
+        let (scene_in, snapshots) = mailbox::<Snapshot>();
+        let scene = stage.scene.map(|scene| (scene, snapshots));
+        let shows_scene = scene.is_some();
+        // With others' cameras the arms are shown as they were when these took their frames.
+        let of_arms = node.filter(|_| child.is_some() && !others);
+        let states = (shows_scene || pages.is_some()).then(|| {
+            let arms = of_arms.map(|node| (node, arms));
+            StatesThread::open(arms, scene, pages)
+        });
         let (states, states_in) = states.transpose()?.unzip();
         let shown = Shown {
-            scene: cameras.as_ref().map(|_| scene),
-            states: states_in,
+            scene: shows_scene.then_some(scene_in),
+            states: states_in.filter(|_| of_arms.is_some()),
             wakes: Vec::new(),
             query_every_steps: child.map(PolicyChild::query_every_steps),
             history_steps: child.map_or(0, PolicyChild::history_steps),
             frames: plan.wants_frames(),
-            console: console_view,
+            every_step: others,
+            seen,
+            console,
         };
-        Ok((Self { cameras, states }, shown))
+        Ok((Self { frames, states }, shown))
     }
 
     /// Runs `simulation` from `first` on by `clock`, and these threads beside it, until the control thread has stopped.
     pub(super) fn run(
         self,
+        plan: &Plan,
         mut simulation: SimulationThread,
         (clock, first): (MonotonicClock, TimeNs),
         log: Option<SideLog>,
-        signals: &Signals,
+        signals: &Arc<Signals>,
     ) -> Result<Simulated, SessionError> {
-        let Self { cameras, states } = self;
+        let Self { frames, states } = self;
         thread::scope(|scope| {
-            let cameras = match (cameras, log) {
-                (Some(cameras), log) => Some(scope.spawn(|| cameras.run(log, signals))),
-                (None, Some(log)) => {
-                    scope.spawn(|| write_told(log, signals));
-                    None
+            let frames = scope.spawn(move || match (frames, log) {
+                (Frames::Own(thread), log) => thread.run(plan, clock, log, signals),
+                (Frames::Others(others), log) => others.run(plan, clock, log, signals),
+                (Frames::None, Some(log)) => {
+                    write_told(log, signals);
+                    Ok(FramesEnd::default())
                 }
-                (None, None) => None,
-            };
-            let states = states.map(|states| scope.spawn(|| states.run(signals)));
+                (Frames::None, None) => Ok(FramesEnd::default()),
+            });
+            let states = states.map(|states| scope.spawn(move || states.run(clock, signals)));
             let wakes = &mut simulation.shown.wakes;
-            wakes.extend(cameras.iter().map(|thread| thread.thread().clone()));
             wakes.extend(states.iter().map(|thread| thread.thread().clone()));
             let simulated = simulation.run(clock, first);
-            let cameras = cameras.map(|cameras| joined(cameras).and_then(|end| end));
+            let frames = joined(frames).and_then(|end| end);
             let states = states.map(|states| joined(states).and_then(|end| end));
             states.transpose()?;
-            Ok((simulated?, cameras.transpose()?))
+            Ok((simulated?, frames?))
         })
     }
 }
 
-/// Writes what the `log` is to say where no camera thread does, until the control thread has stopped.
+impl Others {
+    /// Watches these cameras as a robot's are watched.
+    fn run(
+        self,
+        plan: &Plan,
+        clock: MonotonicClock,
+        log: Option<SideLog>,
+        signals: &Arc<Signals>,
+    ) -> Result<FramesEnd, SessionError> {
+        let (_, noticed) = mailbox();
+        let seen = SeenWires {
+            measured: self.measured,
+            news: News::new(noticed),
+            log,
+            signals: Arc::clone(signals),
+            clock,
+        };
+        let rules = (plan.setup.robot.control.supervision, plan.warn);
+        let asked = RobotOptions::default();
+        let thread = RobotThread::new(seen, None, self.reports, self.cameras, (&asked, rules));
+        let thread = match &plan.console {
+            Some(console) => thread.shown_on(console.frames(), &plan.setup.camera_names()),
+            None => thread,
+        };
+        let end = thread.woken_by(self.events).run()?;
+        Ok(FramesEnd {
+            pictures: None,
+            ended_by: end.ended_by,
+        })
+    }
+}
+
+/// Writes what the `log` is to say where no frames are kept, until the control thread has stopped.
 fn write_told(mut log: SideLog, signals: &Signals) {
     while !signals.stopped() {
         signals.write_told(Some(&mut log));
         rt::sleep_ns(TOLD_NS);
     }
     signals.write_told(Some(&mut log));
-}
-
-/// Names of the cameras that are drawn for the log, the pictures and, if there is one, a policy process and others on its topics.
-fn cameras(plan: &Plan, child: Option<&PolicyChild>) -> Vec<String> {
-    let seen = child.map_or_else(Vec::new, PolicyChild::cameras);
-    let on_topics = child.is_some() && plan.setup.kept_cameras.is_some();
-    if plan.wants_frames() || on_topics {
-        plan.setup.cameras_with(seen)
-    } else {
-        seen
-    }
 }

@@ -31,10 +31,12 @@ impl<'a> Opened<'a> {
         outside: Option<&Outside<'_>>,
     ) -> Result<Self, SessionError> {
         let (robot, task) = (plan.setup.robot(), plan.setup.task());
+        // What other cameras than the task's own show is seen when they do.
+        let drawn = task.filter(|_| plan.cameras_on.is_none());
         match &plan.policy {
             PolicyChoice::Checkpoint(folder) => {
                 let network = robot.network(folder, Device::Cpu)?;
-                task.map_or(Ok(()), |setup| check_cameras(setup, &network))?;
+                drawn.map_or(Ok(()), |setup| check_cameras(setup, &network))?;
                 Ok(Self::Network(Box::new(network), folder))
             }
             PolicyChoice::External(choice) => {
@@ -48,7 +50,7 @@ impl<'a> Opened<'a> {
                     frames_within_ms: outside.map_or(0, |outside| outside.frames_within_ms),
                 };
                 let link = ExternalLink::open(topics, choice.within_s, &about)?;
-                task.map_or(Ok(()), |setup| check_wanted(setup, &link.cameras))?;
+                drawn.map_or(Ok(()), |setup| check_wanted(setup, &link.cameras))?;
                 Ok(Self::External(Box::new(link)))
             }
             PolicyChoice::Teleop => Self::by_hand(plan),
@@ -92,11 +94,24 @@ impl<'a> Opened<'a> {
         }
     }
 
-    /// Waits until it can answer: in another process, or in this one.
+    /// Whether it answers in another process.
+    pub(super) const fn is_remote(&self) -> bool {
+        !matches!(self, Self::Local(_))
+    }
+
+    /// The name of its topics, if it has some already.
+    pub(super) fn topics(&self) -> Option<&str> {
+        match self {
+            Self::External(link) => Some(link.node.run_id()),
+            Self::Network(..) | Self::Local(_) => None,
+        }
+    }
+
+    /// Waits until it can answer: in another process, which finds its frames `outside`, or in this one.
     pub(super) fn start<S: Arms>(
         self,
         plan: &Plan<S>,
-        outside: Option<Outside<'_>>,
+        outside: Outside<'_>,
         say: Say<'_>,
     ) -> Result<(Option<PolicyChild>, Option<ChunkSource>), SessionError> {
         let child = match self {
@@ -107,7 +122,7 @@ impl<'a> Opened<'a> {
             }
             Self::External(link) => {
                 let arms = plan.setup.robot().arms();
-                PolicyChild::external(*link, arms, plan.seed, outside, say)?
+                PolicyChild::external(*link, arms, plan.seed, say)?
             }
         };
         Ok((Some(child), None))

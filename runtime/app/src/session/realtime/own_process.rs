@@ -1,15 +1,13 @@
-//! A policy process of our own: started, started again, told to go, and ended with the run.
+//! A process of our own, the policy's or the cameras': a verb of this program that is started, started again, told to go, and ended with the run.
 
 use std::env;
+use std::ffi::OsString;
 use std::fs;
 use std::os::unix::process::CommandExt as _;
-use std::path::PathBuf;
 use std::process::{self, Child, Command, Stdio};
 
 use hal::TimeNs;
-use tch::Device;
-use trocar_nets::compute::{Arithmetic, Compute};
-use trocar_topics::{PolicyStatus, Publisher, RunCommand, RunControl, Subscriber, TopicNode};
+use trocar_topics::{Message, Publisher, RunCommand, RunControl, Subscriber, TopicNode};
 
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
@@ -22,54 +20,67 @@ const POLL_NS: u64 = 1_000_000;
 
 /// How a process is started.
 pub(super) struct Spawned {
-    pub(super) run_id: String,
-    /// The checkpoint's folder.
-    pub(super) policy: PathBuf,
-    pub(super) compute: Compute,
-    pub(super) frames_within_ms: u64,
+    /// What it is called in messages.
+    pub(super) who: &'static str,
+    /// The verb of this program, and its options.
+    pub(super) arguments: Vec<OsString>,
 }
 
-/// A process that was started here. Dropping it ends it, in peace if it listens.
-pub(super) struct OwnProcess {
-    pub(super) process: Child,
-    pub(super) spawned: Spawned,
+/// A process that was started here, which reports by messages of the type `S`. Dropping it ends it, in peace if it listens.
+pub(super) struct OwnProcess<S: Message> {
+    process: Child,
+    spawned: Spawned,
     pub(super) node: TopicNode,
     pub(super) control: Publisher<RunControl>,
-    pub(super) status: Subscriber<PolicyStatus>,
+    pub(super) status: Subscriber<S>,
     /// While it loads it does not.
     pub(super) listens: bool,
 }
 
 impl Spawned {
-    pub(super) fn start(&self) -> Result<Child, SessionError> {
+    fn start(&self) -> Result<Child, SessionError> {
         let program = env::current_exe().map_err(|error| failed("finding this program", &error))?;
-        let device = if self.compute.device == Device::Cpu {
-            "cpu"
-        } else {
-            "cuda"
-        };
-        let precision = match self.compute.arithmetic {
-            Arithmetic::F32 => "f32",
-            Arithmetic::Bf16 => "bf16",
-        };
         Command::new(program)
-            .args(["policy-process", "--run-id", &self.run_id, "--policy"])
-            .arg(&self.policy)
-            .args(["--device", device, "--precision", precision])
-            .args(["--threads", &self.compute.threads.to_string()])
-            .args(["--frames-within-ms", &self.frames_within_ms.to_string()])
+            .args(&self.arguments)
+            .args(["--parent-pid", &process::id().to_string()])
             // Threads that wait for each other sleep: spinning, they would take cores from the simulation and the control.
             .env("OMP_WAIT_POLICY", "PASSIVE")
-            .args(["--parent-pid", &process::id().to_string()])
             .stdin(Stdio::null())
-            // A Ctrl-C in the terminal is for this process alone, which then stops the arm before the policy.
+            // A Ctrl-C in the terminal is for this process alone, which then stops the arm before the others.
             .process_group(0)
             .spawn()
-            .map_err(|error| failed("starting the policy process", &error))
+            .map_err(|error| failed(&format!("starting {}", self.who), &error))
     }
 }
 
-impl OwnProcess {
+impl<S: Message> OwnProcess<S> {
+    /// Starts it, as a process of the run of `node`.
+    pub(super) fn start(
+        spawned: Spawned,
+        node: TopicNode,
+        (control, status): (Publisher<RunControl>, Subscriber<S>),
+    ) -> Result<Self, SessionError> {
+        Ok(Self {
+            process: spawned.start()?,
+            spawned,
+            node,
+            control,
+            status,
+            listens: false,
+        })
+    }
+
+    /// What it is called in messages.
+    pub(super) const fn who(&self) -> &'static str {
+        self.spawned.who
+    }
+
+    /// How it ended, if it has.
+    pub(super) fn exit(&mut self) -> Option<String> {
+        let exit = self.process.try_wait().ok().flatten();
+        exit.map(|exit| format!("{} ended: {exit}", self.spawned.who))
+    }
+
     /// Ends the process, if it still is, with all that it had in shared memory, and starts another one.
     pub(super) fn start_again(&mut self) -> Result<(), SessionError> {
         self.listens = false;
@@ -101,7 +112,7 @@ impl OwnProcess {
     }
 }
 
-impl Drop for OwnProcess {
+impl<S: Message> Drop for OwnProcess<S> {
     fn drop(&mut self) {
         if !(self.listens && self.goes_by_itself()) {
             // Whatever went wrong, nothing is left behind: no process, and nothing of it in shared memory.

@@ -26,10 +26,10 @@ pub(super) fn arm_names(count: usize) -> impl Iterator<Item = &'static str> {
 }
 
 /// Silence after which a sign of life is given all the same, ns.
-const STATUS_EVERY_NS: u64 = 50_000_000;
+pub(super) const STATUS_EVERY_NS: u64 = 50_000_000;
 
 /// How long a killed parent may take to be gone: with a big memory, tens of milliseconds.
-const DYING_MAX: Duration = Duration::from_secs(5);
+pub(super) const DYING_MAX: Duration = Duration::from_secs(5);
 
 /// What the process is started with.
 #[derive(Clone, Debug)]

@@ -1,10 +1,10 @@
-//! What the console hears of a run: ends for the control thread, the simulation and the cameras.
+//! What the console hears of a run: ends for the control thread and the simulation, and for whoever shows its scene.
 
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::TaskConfig;
 
-use super::camera_thread::{ConsoleCameras, Snapshot};
+use super::scene_topics::{SceneForPages, Snapshot};
 use super::simulation_thread::ConsoleView;
 use crate::console::{Facts, PictureFacts, unseen_run};
 use crate::mailbox::mailbox;
@@ -12,15 +12,14 @@ use crate::session::operator::{Listener, OperatorPort};
 use crate::session::plan::Arms;
 use crate::session::scene_options::BASELINE_M;
 use crate::session::teleop::picture;
-use crate::session::views::Views;
 use crate::session::{Plan, SessionError};
 
-/// Shows a simulated task, steered at `listener`: the ends for the simulation and for the cameras, if there is a console.
+/// Shows a simulated task, steered at `listener`: the end for the simulation, and the scene that pages are shown, if there is a console.
 pub(super) fn show_task(
     plan: &Plan,
     start: &SceneSnapshot,
     (listener, port): (Option<&Listener>, &mut OperatorPort),
-) -> Result<Option<(ConsoleView, ConsoleCameras)>, SessionError> {
+) -> Result<Option<(ConsoleView, SceneForPages)>, SessionError> {
     let setup = &plan.setup;
     let facts = facts_of(plan, &setup.task_name, setup.camera_names());
     let facts = facts.within_s(setup.task.time_limit_s);
@@ -44,8 +43,9 @@ pub(super) fn show_task(
         frames: console.frames(),
         task: taps.task,
     };
-    let cameras = ConsoleCameras::new(Views::new(console.frames(), scene), snapshots);
-    Ok(Some((view, cameras)))
+    let cameras = setup.task.cameras.len();
+    let pages = SceneForPages::new((scene, console.frames()), cameras, snapshots);
+    Ok(Some((view, pages)))
 }
 
 /// The picture that hands move in.

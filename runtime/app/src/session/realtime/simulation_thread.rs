@@ -10,7 +10,7 @@ use trocar_tasks::task::Outcome;
 use trocar_world::tissue::TissueExtremes;
 
 use super::arm_states::StepStates;
-use super::camera_thread::Snapshot;
+use super::scene_topics::Snapshot;
 use super::signals::{EndsRun, Signals};
 use crate::console::{BETWEEN_NS, FrameTap, TaskState};
 use crate::histogram::Histogram;
@@ -36,7 +36,7 @@ pub(super) struct Shown {
     pub(super) scene: Option<MailboxWriter<Snapshot>>,
     /// The arms, for a policy process.
     pub(super) states: Option<Producer<StepStates>>,
-    /// The threads of both, once they run.
+    /// The thread that hands on both, once it runs.
     pub(super) wakes: Vec<Thread>,
     /// Steps from one query of a policy process to the next, if there is one.
     pub(super) query_every_steps: Option<u64>,
@@ -44,6 +44,10 @@ pub(super) struct Shown {
     pub(super) history_steps: u64,
     /// Whether the log or a policy wants frames in between.
     pub(super) frames: bool,
+    /// Whether others' cameras want to draw each step.
+    pub(super) every_step: bool,
+    /// What is measured each period, for whoever goes by others' cameras.
+    pub(super) seen: Option<MailboxWriter<PerArm<ArmState>>>,
     /// What the console sees, if there is one.
     pub(super) console: Option<ConsoleView>,
 }
@@ -60,7 +64,8 @@ impl Shown {
     fn wanted(&self, step: u64) -> bool {
         self.query_every_steps.is_some_and(|every| {
             step.is_multiple_of(every) || precedes_query(step, every, self.history_steps)
-        }) || self.frames && step.is_multiple_of(FRAME_EVERY_STEPS)
+        }) || self.every_step
+            || self.frames && step.is_multiple_of(FRAME_EVERY_STEPS)
     }
 
     /// Shows the step to those that want to see it. One that is still busy with another step finds the newest when it is done.
@@ -219,6 +224,9 @@ impl SimulationThread {
         }
         let states = self.read(now)?;
         self.measured.put(states);
+        if let Some(seen) = &mut self.shown.seen {
+            seen.put(states);
+        }
         if !self.signals.done() {
             let stamp = states.first.stamp;
             self.shown.show_console(tick, stamp, &self.simulation);

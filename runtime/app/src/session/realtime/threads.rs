@@ -35,6 +35,7 @@ pub(super) fn wired<'a, S: Arms>(
 ) -> (Local, Option<Supervised<'a>>) {
     match child {
         Some(child) => {
+            child.follow(clock);
             let rules = plan.setup.robot().control.supervision;
             let supervised = Supervised::new(child, chunk_in, clock, (rules, plan.warn));
             (None, Some(supervised))

@@ -78,7 +78,7 @@ fn a_disturbed_and_varied_recording_says_so() {
         for (key, value) in drawn.as_object().unwrap() {
             assert_eq!(&note[key], value, "{key}");
         }
-        assert_eq!(drawn.as_object().unwrap().len(), 3);
+        assert_eq!(drawn.as_object().unwrap().len(), 4);
         let disturbances = note["disturbances"].as_array().unwrap();
         assert_eq!(disturbances.len(), attempt.disturbances);
         let steps = dataset.episodes()[index].len;

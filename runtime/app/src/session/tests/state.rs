@@ -23,9 +23,9 @@ fn a_state_s_options_are_checked_as_the_command_line_s() {
         ("preset", serde_json::json!("huge"), "--preset huge"),
         ("clouds", serde_json::json!("a.toml"), "--clouds"),
         (
-            "backbone",
-            serde_json::json!("frozen_batch_norm"),
-            "--backbone",
+            "backbone_weights",
+            serde_json::json!("resnet18.safetensors"),
+            "--backbone-weights",
         ),
     ] {
         let mut other = good.clone();

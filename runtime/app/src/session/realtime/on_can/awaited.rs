@@ -156,25 +156,30 @@ pub(super) fn still_there(
     Ok(())
 }
 
-/// Waits for a frame of now of each of the cameras `wanted`, which must have the size that is asked for, if any is. `clock` is the run's.
-pub(super) fn cameras(
+/// A camera by name, and its size in pixels if one is asked for.
+pub(in super::super) type Wanted = (String, Option<(u32, u32)>);
+
+/// Waits for a frame of now of each of the cameras `wanted`, which must have the size that is asked for, if any is, on `topics`, where for example
+/// `publisher` would show it. Any `clock` will do. `meanwhile` is done again and again.
+pub(in super::super) fn cameras(
     node: &TopicNode,
-    wanted: &[(String, Option<(u32, u32)>)],
+    wanted: &[Wanted],
     clock: MonotonicClock,
-    topics: &str,
-    say: Say<'_>,
+    (topics, publisher): (&str, &str),
+    (say, meanwhile): (Say<'_>, &mut dyn FnMut() -> Result<(), SessionError>),
 ) -> Result<Vec<Camera>, SessionError> {
     let mut found = Vec::new();
     for (name, size) in wanted {
         let mut topic = CameraTopic::subscriber(node, name)?;
         let what = format!("a frame of camera {name} on topics {topics:?}");
         let lacking = format!(
-            "camera {name} has published no frame on topics {topics:?} for {} s: start whoever publishes it (`trocar drives --cameras {name}` \
-             of a simulated world), or name its topics with --topics",
-            CAMERA_NS_MAX / 1_000_000_000
+            "camera {name} has published no frame on topics {topics:?} for {} s: start whoever publishes it ({}), or name its topics with --topics",
+            CAMERA_NS_MAX / 1_000_000_000,
+            publisher.replace("NAME", name)
         );
         let mut stale = None;
         let lens = await_it(&what, &lacking, CAMERA_NS_MAX, say, || {
+            meanwhile()?;
             let Some(view) = topic.newest()? else {
                 return Ok(None);
             };

@@ -50,16 +50,16 @@ use crate::session::{Plan, Robot, SessionError};
 use bring_up::{ReadyArm, bring_up, check, check_world, failed, uninterrupted};
 use conclude::{Seen, conclude};
 use hal::PerArm;
-use scene_thread::{SceneThread, arm_reports, frames};
+use scene_thread::{SceneThread, frames};
 use trocar_control::AnyController;
 
 pub use awaited::Say;
-pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS};
+pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS, Wanted, cameras};
 pub(super) use happened::News;
-pub(super) use scene_thread::{logged, seen_at};
+pub(super) use scene_thread::{arm_reports, logged, seen_at};
 
 /// How far a frame may be from the instant of an observation where cameras have clocks of their own, ms: a policy step.
-const FRAMES_WITHIN_MS: u64 = 40;
+pub(super) const FRAMES_WITHIN_MS: u64 = 40;
 
 /// Where the arms are and where their world, or their cameras, show themselves.
 #[derive(Clone, Debug)]
@@ -205,7 +205,6 @@ impl Begun<'_> {
         let (can, clock, node, say) = (self.can, self.clock, self.node, self.say);
         let outside = Outside {
             topics: &can.topics,
-            clock,
             frames_within_ms: within_ms,
         };
         let policy = Opened::open(plan, Some(&outside))?;
@@ -216,8 +215,10 @@ impl Begun<'_> {
                 wanted.push((name.clone(), None));
             }
         }
-        let mut cameras = awaited::cameras(&node, &wanted, clock, &can.topics, say)?;
-        let (mut child, source) = policy.start(plan, Some(outside), say)?;
+        let publisher = "`trocar drives --cameras NAME` of a simulated world";
+        let topics = (can.topics.as_str(), publisher);
+        let mut cameras = awaited::cameras(&node, &wanted, clock, topics, (say, &mut || Ok(())))?;
+        let (mut child, source) = policy.start(plan, outside, say)?;
         let ready = bring_up(can, self.buses, say)?;
         awaited::still_there(&mut cameras, clock, &can.topics, say)?;
         let mut wires = Wires::new((plan.open_log(false)?, plan.console.as_ref()), clock);

@@ -70,7 +70,7 @@ impl SceneEnd {
 }
 
 /// The topics on which a policy process hears of `count` arms, if there is one.
-pub(super) fn arm_reports(
+pub(in super::super) fn arm_reports(
     node: &TopicNode,
     count: usize,
     has_process: bool,

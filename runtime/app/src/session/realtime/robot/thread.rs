@@ -6,11 +6,13 @@ use std::sync::Arc;
 use hal::{ArmState, TimeNs};
 use trocar_topics::{ArmReport, Events, Publisher};
 
+use super::super::frames_thread::show_view;
 use super::super::on_can::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
 use super::super::signals::EndsRun;
 use super::super::wires::{Local, SeenWires};
 use super::RobotOptions;
 use super::sight::{Rules, Sight};
+use crate::console::FrameTap;
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
@@ -39,6 +41,8 @@ pub(in super::super) struct RobotThread {
     limit_ns: Option<u64>,
     past: Past,
     events: Option<Events>,
+    /// Pages that are shown frames, and the place of each camera among those that they know.
+    pages: Option<(FrameTap, Vec<Option<usize>>)>,
 }
 
 /// What it leaves behind.
@@ -101,6 +105,7 @@ impl RobotThread {
             limit_ns,
             past: Past::default(),
             events: None,
+            pages: None,
         }
     }
 
@@ -108,6 +113,16 @@ impl RobotThread {
     pub(in super::super) fn woken_by(self, events: Events) -> Self {
         let events = Some(events);
         Self { events, ..self }
+    }
+
+    /// The same thread, which hands frames to pages, who know cameras by these names.
+    pub(in super::super) fn shown_on(self, to: FrameTap, names: &[String]) -> Self {
+        let place = |(name, _): &Camera| names.iter().position(|known| known == name);
+        let places = self.cameras.iter().map(place).collect();
+        Self {
+            pages: Some((to, places)),
+            ..self
+        }
     }
 
     /// Runs until the control thread has stopped; ends the run when the time is up or a camera that the policy needs is gone.
@@ -203,6 +218,11 @@ impl RobotThread {
             }
             if index == 0 {
                 taken = Some(stamp);
+            }
+            if let Some((to, places)) = &self.pages
+                && let Some(Some(place)) = places.get(index)
+            {
+                show_view(to, *place, &view, self.seen.clock);
             }
             if let Some(log) = &mut self.seen.log {
                 log.frame(name, &logged(&view, &self.seen.clock));
