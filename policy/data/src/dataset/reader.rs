@@ -205,6 +205,13 @@ impl Dataset {
         self.tables[table].image(&image_feature(&self.camera_names[camera]), row)
     }
 
+    /// The episode of a frame, and which of its frames it is, both from 0.
+    #[must_use]
+    pub fn place(&self, frame: usize) -> [usize; 2] {
+        let episode = self.episodes.partition_point(|it| it.start <= frame) - 1;
+        [episode, frame - self.episodes[episode].start]
+    }
+
     /// The image of a frame; read from disk and decoded now. Of video some frames around it are decoded too and kept for
     /// the next call.
     ///
@@ -218,9 +225,7 @@ impl Dataset {
             height,
             ..
         } = &self.spec.cameras[camera];
-        let episode = self.episodes.partition_point(|it| it.start <= frame) - 1;
-        let within = frame - self.episodes[episode].start;
-        let place = [episode, within];
+        let place = self.place(frame);
         if let Some(image) = self.videos.image(camera, place, [*width, *height])? {
             return Ok(image);
         }

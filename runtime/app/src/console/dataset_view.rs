@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use axum::body::Bytes;
+use hal::joints::ROLL;
 use hal::{ARM_NAMES, JointVector, TimeNs};
 use serde::Serialize;
 use serde_json::Value;
@@ -17,9 +18,6 @@ use super::encode;
 use super::facts::{AxisRange, EpisodeFacts, EventFacts, Facts, OfDataset};
 use super::pictures::{Drawn, Pixels, Plane, Stream};
 use crate::session::{PolicyChoice, SessionError, Setup};
-
-/// The joint of an arm's state that is its roll.
-const ROLL: usize = 3;
 
 /// Room at either end of a range that values alone tell, rad and m.
 const ROOM: f64 = 1e-3;
@@ -166,9 +164,7 @@ impl DatasetView {
             }
             (Plane::Ids, Some(_)) => Pixels::Ids(self.dataset.depth(frame, camera)?.instance),
         };
-        let episodes = self.dataset.episodes();
-        let episode = episodes.partition_point(|it| it.start <= frame) - 1;
-        let within = frame - episodes[episode].start;
+        let [_, within] = self.dataset.place(frame);
         let drawn = Drawn {
             stream,
             stamp: TimeNs(within as u64 * 1_000_000_000 / u64::from(self.dataset.fps())),
