@@ -143,7 +143,7 @@ fn killed_policy_and_killed_camera_come_back() {
     run.await_word("it may come back within 30.0 s (1 of 1)");
     drop(policy);
     let policy = play("faults::plays_a_policy");
-    run.await_word("the policy process is ready again");
+    run.await_word(", is ready again");
     clock_jumped &= set_the_clock(-2 * 86_400);
     pass_ms(600);
     camera.signal("-KILL");

@@ -226,14 +226,14 @@ fn frames_that_nobody_shows_are_named() {
 fn cameras_by_hand_end_on_a_signal_and_refuse_others() {
     let mut cameras = Cameras::start(&topics("signal"), &["--cameras", "multi"]);
     let mut lines = BufReader::new(cameras.0.stderr.take().unwrap()).lines();
-    let first = lines.next().unwrap().unwrap();
-    assert!(
-        first.contains("cameras endoscope, wrist of needle-lift on topics"),
-        "{first}"
-    );
+    let mut says = |what: &str| {
+        // Clocks that are slowed down are warned of first.
+        let mut told = lines.by_ref().map_while(Result::ok);
+        assert!(told.any(|line| line.contains(what)), "{what}");
+    };
+    says("cameras endoscope, wrist of needle-lift on topics");
     send("-INT", cameras.0.id());
-    let last = lines.next().unwrap().unwrap();
-    assert!(last.contains("0 instants drawn"), "{last}");
+    says("0 instants drawn");
     assert_eq!(cameras.0.wait().unwrap().code(), Some(0));
     for (more, why) in [
         (
