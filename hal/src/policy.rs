@@ -4,14 +4,14 @@ use crate::{ArmState, Chunk, FrameRef, Pose, TipTarget};
 
 /// What a policy sees of one arm at one instant.
 #[derive(Clone, Copy, Debug)]
-pub struct SeenArm {
+pub struct ArmObservation {
     /// What was measured.
     pub state: ArmState,
     /// Measured tip pose in the arm's own RCM frame, from forward kinematics.
     pub tip_in_rcm: Pose,
 }
 
-impl SeenArm {
+impl ArmObservation {
     /// Where the arm is, as a target.
     #[must_use]
     pub fn here(&self) -> TipTarget {
@@ -23,7 +23,7 @@ impl SeenArm {
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
     /// The measured arms, of one instant and in their order; the stamp of the first is the observation's.
-    pub arms: &'a [SeenArm],
+    pub arms: &'a [ArmObservation],
     /// Frames taken at the observation, in the order of the policy's camera list.
     pub frames: &'a [FrameRef<'a>],
 }

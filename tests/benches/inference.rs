@@ -11,7 +11,9 @@ use std::error::Error;
 use std::path::Path;
 
 use criterion::Criterion;
-use hal::{ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, SeenArm, TimeNs};
+use hal::{
+    ArmObservation, ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, TimeNs,
+};
 use tch::Device;
 use trocar::rt::MonotonicClock;
 use trocar::session::demo::COMMITTED_POLICY;
@@ -104,7 +106,7 @@ fn infer(criterion: &mut Criterion, name: &str, folder: &Path) -> Result<(), Box
     let frames = frames(&policy);
     let frames: Vec<_> = frames.iter().map(CameraFrame::as_frame).collect();
     let joints = JointVector::new(0.0, 0.0, hal::psm::HOME_INSERTION_M, 0.0, 0.0, 0.0);
-    let arm = SeenArm {
+    let arm = ArmObservation {
         state: ArmState::at_rest(TimeNs(0), joints, 0.4),
         tip_in_rcm: forward(&joints),
     };

@@ -14,7 +14,7 @@ use hal::{Arm, ArmCommand, CameraFrame, SafeTail, TimeNs};
 use tch::Device;
 use trocar::histogram::Histogram;
 use trocar::rt::{Grant, MonotonicClock, RtOptions, configure_thread};
-use trocar::session::episode::{Episode, EpisodeEnd, Nobody, Timing, Watcher};
+use trocar::session::episode::{Episode, EpisodeEnd, EpisodeObserver, NoObserver, Timing};
 use trocar::session::source::STEP_NS;
 use trocar::session::{PolicyChoice, SessionError, Setup, tasks};
 use trocar_log::TickRecord;
@@ -48,7 +48,7 @@ fn run_expert(
     setup: &Setup,
     simulation: &mut Simulation,
     (seed, tick_limit): (u64, u64),
-    watcher: &mut dyn Watcher,
+    watcher: &mut dyn EpisodeObserver,
 ) -> Result<EpisodeEnd, SessionError> {
     let episode = Episode {
         simulation,
@@ -93,13 +93,13 @@ fn physics(criterion: &mut Criterion, setup: &Setup) -> Result<(), Box<dyn Error
 
     let mut lifting = Simulation::new(&setup.task, SEED, Rendering::Off)?;
     let plan = (SEED, setup.tick_limit());
-    let lifted = run_expert(setup, &mut lifting, plan, &mut Nobody)?;
+    let lifted = run_expert(setup, &mut lifting, plan, &mut NoObserver)?;
     if lifted.outcome != Outcome::Success {
         return Err(format!("the expert did not lift the needle: {}", lifted.reason()).into());
     }
     let mut simulation = Simulation::new(&patient.task, SEED, Rendering::Off)?;
     let plan = (SEED, lifted.tally.ticks());
-    run_expert(&patient, &mut simulation, plan, &mut Nobody)?;
+    run_expert(&patient, &mut simulation, plan, &mut NoObserver)?;
     let held = steps(criterion, "simulation/step, needle held", &mut simulation);
     if !simulation.scene_state().first.grasp.both_touch || simulation.outcome() != Outcome::Running
     {
@@ -129,7 +129,7 @@ fn physics(criterion: &mut Criterion, setup: &Setup) -> Result<(), Box<dyn Error
 #[derive(Default)]
 struct Recorder(Vec<Vec<ArmCommand>>);
 
-impl Watcher for Recorder {
+impl EpisodeObserver for Recorder {
     fn tick(&mut self, record: &TickRecord) {
         self.0
             .push(record.arms.iter().map(|arm| arm.command).collect());

@@ -9,7 +9,7 @@ use std::process::Command;
 
 use tch::Device;
 use tests::{Profile, json, scratch, stderr, trocar};
-use trocar::session::episode::{Episode, Nobody, Timing, Watcher};
+use trocar::session::episode::{Episode, EpisodeObserver, NoObserver, Timing};
 use trocar::session::tasks;
 use trocar::session::{PolicyChoice, Setup};
 use trocar_tasks::simulation::{Rendering, Simulation};
@@ -28,7 +28,7 @@ const ANSWER: &str = "digest ";
 /// Looks through all cameras at every policy step.
 struct Onlooker(Vec<String>);
 
-impl Watcher for Onlooker {
+impl EpisodeObserver for Onlooker {
     fn cameras(&self) -> Vec<String> {
         self.0.clone()
     }
@@ -53,7 +53,7 @@ fn digest(task: &str, seed: u64, ticks: u64, rendering: Rendering) -> String {
         tick_limit: ticks,
     };
     let end = match rendering {
-        Rendering::Off => episode.run(&timing, &mut Nobody),
+        Rendering::Off => episode.run(&timing, &mut NoObserver),
         Rendering::On => episode.run(&timing, &mut Onlooker(setup.camera_names())),
     };
     let end = end.unwrap();

@@ -7,7 +7,7 @@ use super::motor::Motor;
 use super::wire::{Delivery, Order, Wire};
 use crate::node::{Demand, Node};
 use hal::TimeNs;
-use trocar_canopen::master::{Received, Trouble};
+use trocar_canopen::master::{ControllerEvent, Received};
 use trocar_canopen::{Frame, NodeId, Outbox};
 
 use seat::Seat;
@@ -197,17 +197,17 @@ impl<M: Motor> Network<M> {
         };
         line.wire.set_attached(master.port, !off);
         let trouble = if off {
-            Trouble::BusOff
+            ControllerEvent::BusOff
         } else {
-            Trouble::Restarted
+            ControllerEvent::Restarted
         };
-        master.inbox.push(Received::Trouble(trouble));
+        master.inbox.push(Received::ControllerEvent(trouble));
     }
 
     /// Reports `trouble` on `line` to the first master.
-    pub fn trouble(&mut self, line: u8, trouble: Trouble) {
+    pub fn trouble(&mut self, line: u8, trouble: ControllerEvent) {
         if let Some(master) = self.lines[usize::from(line)].masters.first_mut() {
-            master.inbox.push(Received::Trouble(trouble));
+            master.inbox.push(Received::ControllerEvent(trouble));
         }
     }
 

@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 
 use hal::{Arm, ArmCommand, JointVector, SafeTail, TimeNs};
 use trocar_canopen::master::{
-    ArmPlan, AxisPlan, Bus, CanArm, Fault, Offline, Received, Space, Trouble,
+    ArmPlan, AxisPlan, Bus, CanArm, ControllerEvent, Fault, Offline, Received, Space,
 };
 use trocar_canopen::socket::{Clock, SocketBus};
 use trocar_canopen::{CanId, Frame, NodeId, Payload};
@@ -128,8 +128,8 @@ fn a_slow_reader_is_told_how_many_frames_it_missed() {
     let (frames, lost) = (Cell::new(0), Cell::new(0));
     let mut count = |received: Received| match received {
         Received::Frame(_) => frames.set(frames.get() + 1),
-        Received::Trouble(Trouble::Lost(n)) => lost.set(lost.get() + n),
-        Received::Trouble(_) => {}
+        Received::ControllerEvent(ControllerEvent::Lost(n)) => lost.set(lost.get() + n),
+        Received::ControllerEvent(_) => {}
     };
     b.receive(0, &mut count);
     // The count comes with the first frame that is queued after the loss.
@@ -156,7 +156,10 @@ fn error_frames_of_the_kernel_are_heard_as_trouble() {
         .status()
         .unwrap();
     assert!(sent.success());
-    assert_eq!(receive(&mut bus, 1), [Received::Trouble(Trouble::BusOff)]);
+    assert_eq!(
+        receive(&mut bus, 1),
+        [Received::ControllerEvent(ControllerEvent::BusOff)]
+    );
 }
 
 fn node(axis: u8) -> NodeId {

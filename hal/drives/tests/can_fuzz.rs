@@ -95,7 +95,7 @@ fn hammer_arm(frames: u64) -> arm::Tally {
     let shipped = CanConfig::load(&CanConfig::shipped()).unwrap().arms[0].plan;
     let mut tally = arm::Tally::default();
     for buses in [life::Buses::Roomy, life::Buses::Three] {
-        arm::live(&shipped, &life::Life::quiet(buses), &mut tally).unwrap();
+        arm::live(&shipped, &life::Scenario::quiet(buses), &mut tally).unwrap();
     }
     let tally = RefCell::new(tally);
     hammer(

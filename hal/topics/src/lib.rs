@@ -23,7 +23,7 @@ pub use message::{ArmReport, PolicyStage, PolicyStatus, RunCommand, RunControl};
 pub use node::{TopicNode, check_run_id};
 pub use port::{Message, Publisher, Subscriber, Topic};
 pub use scene::{
-    LINE_BYTES_MAX, Line, Place, SCENE_ARMS_MAX, SceneArm, SceneReport, SceneTissue, Verdict,
+    LINE_BYTES_MAX, Line, PoseMessage, SCENE_ARMS_MAX, SceneArm, SceneReport, SceneTissue, Verdict,
 };
 pub use shm::{SHARED_MEMORY_DIR, SharedMemorySpace, shared_memory_space};
 pub use snapshot::{

@@ -12,19 +12,19 @@ use hal::{Pose, TimeNs};
 /// Arms that a scene can have.
 pub const SCENE_ARMS_MAX: usize = 2;
 
-/// A place in some frame.
+/// A pose in some frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
 #[type_name("trocar/place/1")]
-pub struct Place {
+pub struct PoseMessage {
     /// Metres.
     pub position_m: [f64; 3],
     /// Unit quaternion x, y, z, w.
     pub rotation_xyzw: [f64; 4],
 }
 
-impl Place {
-    /// The place of `pose`.
+impl PoseMessage {
+    /// The message of `pose`.
     #[must_use]
     pub fn new(pose: &Pose) -> Self {
         Self {
@@ -90,9 +90,9 @@ impl Line {
 #[type_name("trocar/scene_arm/1")]
 pub struct SceneArm {
     /// Tip in the RCM frame.
-    pub tip_in_rcm: Place,
+    pub tip_in_rcm: PoseMessage,
     /// What the task is about, in the RCM frame.
-    pub thing_in_rcm: Place,
+    pub thing_in_rcm: PoseMessage,
     /// Angle between the jaw fingers, rad.
     pub jaw: f64,
     /// Sum of normal forces on the left and on the right finger, N.
@@ -157,7 +157,7 @@ pub struct SceneReport {
     /// Whether there is a goal.
     pub has_goal: u64,
     /// Where something is to be brought, scene frame.
-    pub goal_in_scene: Place,
+    pub goal_in_scene: PoseMessage,
     /// Whether there is a soft tissue.
     pub has_tissue: u64,
     /// What it has gone through.

@@ -5,7 +5,7 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use super::{Line, Message, Place, SCENE_ARMS_MAX};
+use super::{Line, Message, PoseMessage, SCENE_ARMS_MAX};
 use hal::TimeNs;
 
 /// Things that move in a scene.
@@ -20,15 +20,15 @@ pub const FLAP_NODES_MAX: usize = 208;
 #[type_name("trocar/instrument_parts/1")]
 pub struct InstrumentParts {
     /// Origin on the wrist-pitch axis, the shaft behind it along -z.
-    pub shaft: Place,
+    pub shaft: PoseMessage,
     /// Origin on the wrist-pitch axis, the wrist-yaw axis at x = 9.1 mm.
-    pub wrist: Place,
+    pub wrist: PoseMessage,
     /// Origin on the wrist-yaw axis, z along the finger, inner face in the xz-plane, body at y > 0.
-    pub finger_left: Place,
+    pub finger_left: PoseMessage,
     /// Like the left one with its body at y < 0.
-    pub finger_right: Place,
+    pub finger_right: PoseMessage,
     /// The tip frame, which cameras on the instrument are mounted in: origin on the wrist-yaw axis, z along the closed fingers.
-    pub tip: Place,
+    pub tip: PoseMessage,
 }
 
 /// A soft flap.
@@ -72,9 +72,9 @@ pub struct SnapshotReport {
     /// Milliseconds since the episode began, which a sensor's noise and smoke are drawn from.
     pub moment_ms: u64,
     /// The things that move, as many as the task has.
-    pub things: [Place; SCENE_THINGS_MAX],
+    pub things: [PoseMessage; SCENE_THINGS_MAX],
     /// Where something is to be brought, if the task has such a place.
-    pub goal: Place,
+    pub goal: PoseMessage,
     /// How many of `arms` there are.
     pub arm_count: u64,
     /// The instruments.

@@ -4,7 +4,7 @@
 //! tip (rad), and the jaw angle as it is (rad). Absolute poses would carry the arm's calibration into the network. Of several
 //! arms, each is relative to its own tip in its own RCM frame, and a step has the arms' numbers one after another.
 
-use hal::{Chunk, Observation, Pose, SeenArm, TipTarget};
+use hal::{ArmObservation, Chunk, Observation, Pose, TipTarget};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 
 /// Name of this representation in checkpoints.
@@ -108,14 +108,14 @@ fn chunks<const N: usize>(
     actions: &[f32],
     sequence: u64,
     step_ns: u64,
-    target: impl Fn(&SeenArm, &[f64; N]) -> TipTarget,
+    target: impl Fn(&ArmObservation, &[f64; N]) -> TipTarget,
 ) -> Vec<Chunk> {
     let arms = observation.arms;
     let Some(first) = arms.first() else {
         return Vec::new();
     };
     let (rows, _) = actions.as_chunks::<N>();
-    let chunk = |(index, arm): (usize, &SeenArm)| {
+    let chunk = |(index, arm): (usize, &ArmObservation)| {
         let targets: Vec<TipTarget> = rows
             .iter()
             .skip(index)
@@ -129,14 +129,14 @@ fn chunks<const N: usize>(
 
 #[cfg(test)]
 mod tests {
-    use hal::{ArmState, JointVector, Observation, SeenArm, TimeNs};
+    use hal::{ArmObservation, ArmState, JointVector, Observation, TimeNs};
 
     use super::{absolute_chunks, absolute_target, pose_from_numbers, relative_action};
     use hal::random::SplitMix64;
 
     #[test]
     fn each_arm_gets_its_own_chunk_relative_to_its_own_tip() {
-        let arm = |z: f64, stamp| SeenArm {
+        let arm = |z: f64, stamp| ArmObservation {
             state: ArmState::at_rest(TimeNs(stamp), JointVector::zeros(), 0.0),
             tip_in_rcm: pose_from_numbers(&[0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0]),
         };

@@ -9,7 +9,7 @@ mod graph;
 
 use tch::{Device, TchError, Tensor};
 
-use aside::Aside;
+use aside::SideStream;
 pub(crate) use functions::stream_of;
 pub use functions::{allow_tf32_products, sleep_while_waiting};
 use graph::Graph;
@@ -61,7 +61,7 @@ impl NetworkGraph {
 
 /// A capture to come on a CUDA device: what the libraries set up at first must be done while this lives.
 #[derive(Debug)]
-pub struct Capture(Aside);
+pub struct Capture(SideStream);
 
 impl Capture {
     /// None if `device` is not the thread's current CUDA device, or the libraries here have no CUDA.
@@ -75,7 +75,7 @@ impl Capture {
         let Ok(device) = i32::try_from(device) else {
             return Ok(None);
         };
-        Ok(Aside::of(device)?.map(Self))
+        Ok(SideStream::of(device)?.map(Self))
     }
 
     /// Captures what `work` does with tensors like `inputs`; nothing of it runs yet. What else it reads and writes must stay

@@ -28,26 +28,26 @@ pub struct Dp3Policy {
     state: LimitsNormaliser,
     action: LimitsNormaliser,
     /// Oldest first.
-    seen: VecDeque<Seen>,
+    seen: VecDeque<ObservationStep>,
     seed: u64,
 }
 
 /// One observation as the network wants it, in SI units.
 #[derive(Clone, Debug)]
-struct Seen {
+struct ObservationStep {
     stamp: TimeNs,
     cloud: Vec<Point>,
     state: Vec<f32>,
 }
 
 /// The network's input: observations, the oldest first.
-struct Asked {
+struct NetworkInput {
     points: Vec<Point>,
     states: Vec<f32>,
 }
 
-impl Asked {
-    fn about(history: &[&Seen]) -> Self {
+impl NetworkInput {
+    fn about(history: &[&ObservationStep]) -> Self {
         let clouds = history.iter().flat_map(|seen| &seen.cloud);
         let states = history.iter().flat_map(|seen| &seen.state);
         Self {
@@ -85,12 +85,12 @@ impl Dp3Policy {
 
     /// Runs the network once on zeros: the first run allocates and selects kernels.
     fn warm_up(&mut self) -> Result<(), TchError> {
-        let nothing = Seen {
+        let nothing = ObservationStep {
             stamp: TimeNs(0),
             cloud: vec![[0.0; 3]; self.cloud.points],
             state: vec![0.0; length(self.config.state_dim)],
         };
-        let asked = Asked::about(&vec![&nothing; self.observations()]);
+        let asked = NetworkInput::about(&vec![&nothing; self.observations()]);
         self.network(&asked, 0).map(|_| ())
     }
 
@@ -113,7 +113,7 @@ impl Dp3Policy {
     }
 
     /// The actions that answer `asked`, from the newest observation on; in SI units, row-major.
-    fn network(&mut self, asked: &Asked, answer: u64) -> Result<Vec<f32>, TchError> {
+    fn network(&mut self, asked: &NetworkInput, answer: u64) -> Result<Vec<f32>, TchError> {
         let config = &self.config;
         let shape = [1, config.n_obs_steps, -1, 3];
         let device = self.device;
@@ -139,8 +139,8 @@ impl Dp3Policy {
     }
 
     /// What the network wants of `observation`.
-    fn look(&self, observation: &Observation<'_>) -> Result<Seen, PolicyError> {
-        Ok(Seen {
+    fn look(&self, observation: &Observation<'_>) -> Result<ObservationStep, PolicyError> {
+        Ok(ObservationStep {
             state: self.interface.state(observation)?,
             cloud: interface::cloud(&self.cloud, observation)?,
             stamp: observation
@@ -150,7 +150,7 @@ impl Dp3Policy {
         })
     }
 
-    fn remember(&mut self, seen: Seen) {
+    fn remember(&mut self, seen: ObservationStep) {
         self.seen.retain(|other| other.stamp < seen.stamp);
         self.seen.push_back(seen);
         while self.seen.len() > self.observations() {
@@ -159,7 +159,7 @@ impl Dp3Policy {
     }
 
     /// The remembered observations at the newest one's time and whole steps before, oldest first.
-    fn history(&self) -> Vec<&Seen> {
+    fn history(&self) -> Vec<&ObservationStep> {
         let mut history = Vec::new();
         let Some(mut newest) = self.seen.back() else {
             return history;
@@ -167,8 +167,9 @@ impl Dp3Policy {
         let now = newest.stamp.0;
         for steps in 0..self.observations() as u64 {
             let due = now.saturating_sub(steps.saturating_mul(self.interface.recipe.step_ns));
-            let near =
-                |seen: &&Seen| seen.stamp.0.abs_diff(due) <= self.interface.recipe.step_ns / 2;
+            let near = |seen: &&ObservationStep| {
+                seen.stamp.0.abs_diff(due) <= self.interface.recipe.step_ns / 2
+            };
             newest = self.seen.iter().find(near).unwrap_or(newest);
             history.push(newest);
         }
@@ -201,7 +202,7 @@ impl Policy for Dp3Policy {
 
     fn infer(&mut self, observation: &Observation<'_>) -> Result<Vec<Chunk>, PolicyError> {
         self.observe(observation)?;
-        let asked = Asked::about(&self.history());
+        let asked = NetworkInput::about(&self.history());
         let actions = self.network(&asked, self.interface.sequence);
         self.interface.chunks(observation, actions)
     }

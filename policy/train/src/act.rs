@@ -3,13 +3,13 @@
 use tch::{Device, Kind, TchError, Tensor};
 
 use super::augment;
-use super::flat::{Back, Below};
+use super::flat::{BackwardFn, ManualBackward};
 use super::options::{TrainOptions, TrainPrecision};
 use super::steps::{Learner, Losses, Split};
 use super::trained::{Network, Prepared, Trained, check_arms, refuse};
 use super::training_set::{TrainingSet, index_tensor};
 use super::transfer::send;
-use super::{AnyTrained, Progress, TrainError, Trainer, Watch};
+use super::{AnyTrained, Progress, TrainError, Trainer, TrainingObserver};
 use hal::random::SplitMix64;
 use trocar_data::dataset::Dataset;
 use trocar_nets::act::{Act, ActConfig, Demonstration, LossDenominator, l1_loss, losses};
@@ -47,7 +47,7 @@ impl Trainer {
         config: &ActConfig,
         options: &TrainOptions,
         dataset: &Dataset,
-        watch: &mut dyn Watch,
+        watch: &mut dyn TrainingObserver,
     ) -> Result<Trained<Act>, TrainError> {
         refuse(options.defect().or_else(|| config.defect()))?;
         check_cameras(config, dataset)?;
@@ -96,7 +96,7 @@ impl Trainer {
     }
 
     /// Kernels of our own for the backbone, where there are some.
-    fn kernels(&self, options: &TrainOptions, watch: &mut dyn Watch) -> Option<Kernels> {
+    fn kernels(&self, options: &TrainOptions, watch: &mut dyn TrainingObserver) -> Option<Kernels> {
         if !self.device.is_cuda() || options.precision != TrainPrecision::Bf16 {
             return None;
         }
@@ -186,10 +186,10 @@ impl Learner for Run<'_> {
                 let (features, kept) = self.act.features_by_hand(kernels, &images)?;
                 let gave = features.f_detach()?.f_set_requires_grad(true)?;
                 let (predicted, latent) = self.act.train_on(&gave, &state, &demonstration)?;
-                let back: Back<'_> = Box::new(move |gradient| {
+                let back: BackwardFn<'_> = Box::new(move |gradient| {
                     self.act.features_back_by_hand(kernels, gradient, &kept)
                 });
-                (predicted, latent, Some(Below { gave, back }))
+                (predicted, latent, Some(ManualBackward { gave, back }))
             }
         };
         let parts = losses(

@@ -8,7 +8,7 @@ use super::options::{Augmentation, TrainOptions, TrainPrecision};
 use super::steps::{Learner, Losses};
 use super::trained::{Network, Trained, check_arms, refuse};
 use super::training_set::{index_tensor, numbers};
-use super::{AnyTrained, TrainError, Trainer, Watch};
+use super::{AnyTrained, TrainError, Trainer, TrainingObserver};
 use hal::random::SplitMix64;
 use trocar_data::dataset::Dataset;
 use trocar_data::perception::{CloudRecipe, Point};
@@ -42,7 +42,7 @@ impl Trainer {
         cloud: &CloudRecipe,
         options: &TrainOptions,
         dataset: &Dataset,
-        watch: &mut dyn Watch,
+        watch: &mut dyn TrainingObserver,
     ) -> Result<Trained<ActPc>, TrainError> {
         refuse(options.defect().or_else(|| config.defect()))?;
         if options.precision != TrainPrecision::F32 {

@@ -6,7 +6,7 @@ use tch::{Device, TchError, Tensor};
 use super::steps::Split;
 use super::trained::Prepared;
 use super::training_set::{ChunkRow, chunk_of, episode_split, statistics};
-use super::{Progress, TrainError, TrainOptions, Watch};
+use super::{Progress, TrainError, TrainOptions, TrainingObserver};
 use trocar_data::dataset::{Dataset, Episode};
 use trocar_data::perception::{CloudRecipe, Point, shows_nothing};
 use trocar_data::relative_action::RELATIVE_ACTION_DIM;
@@ -44,7 +44,7 @@ impl CloudSet {
         cloud: &CloudRecipe,
         [before, steps]: [usize; 2],
         options: &TrainOptions,
-        watch: &mut dyn Watch,
+        watch: &mut dyn TrainingObserver,
     ) -> Result<Self, TrainError> {
         check_depth(dataset)?;
         let episodes = dataset.episodes();

@@ -10,7 +10,7 @@ use super::options::{Augmentation, TrainOptions};
 use super::steps::{Learner, Losses};
 use super::trained::{Network, Trained, check_arms, refuse};
 use super::training_set::{index_tensor, raw_numbers};
-use super::{AnyTrained, TrainError, Trainer, Watch};
+use super::{AnyTrained, TrainError, Trainer, TrainingObserver};
 use hal::random::SplitMix64;
 use trocar_data::dataset::Dataset;
 use trocar_data::perception::CloudRecipe;
@@ -43,7 +43,7 @@ impl Trainer {
         cloud: &CloudRecipe,
         options: &TrainOptions,
         dataset: &Dataset,
-        watch: &mut dyn Watch,
+        watch: &mut dyn TrainingObserver,
     ) -> Result<Trained<Dp3>, TrainError> {
         refuse(options.defect().or_else(|| config.defect()))?;
         check_arms([config.state_dim, config.action_dim], dataset.arms())?;

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::PoisonError;
 
 use hal::{
-    ArmState, CameraFrame, FrameRef, Intrinsics, JointVector, Observation, Policy, Pose, SeenArm,
-    TimeNs,
+    ArmObservation, ArmState, CameraFrame, FrameRef, Intrinsics, JointVector, Observation, Policy,
+    Pose, TimeNs,
 };
 use tch::{Device, Kind};
 
@@ -181,12 +181,12 @@ fn save(folder: &Path, trained: &Trained<Dp3>) {
 }
 
 /// What the policy sees at a step.
-pub(super) fn seen(step: u16) -> (SeenArm, CameraFrame) {
+pub(super) fn seen(step: u16) -> (ArmObservation, CameraFrame) {
     let (units, instance) = scene(step);
     let mut frame = CameraFrame::blank(lens());
     frame.depth_m = units.into_iter().map(depth_from_units).collect();
     frame.instance = instance;
-    let arm = SeenArm {
+    let arm = ArmObservation {
         state: ArmState::at_rest(
             TimeNs(u64::from(step) * STEP_NS),
             JointVector::zeros(),

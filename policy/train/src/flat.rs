@@ -24,15 +24,16 @@ const EPS: f64 = 1e-8;
 /// On an accelerator every parameter begins at a multiple of so many elements: kernels read 16 bytes at once, or are slow.
 const ALIGNED: i64 = 64;
 
-/// A part of the network that the library's own bookkeeping does not know.
-pub(super) struct Below<'a> {
+/// A part of the network outside autograd, with its own backward pass.
+pub(super) struct ManualBackward<'a> {
     /// What it gave to the rest.
     pub(super) gave: Tensor,
     /// Its parameters with their gradients, given that of what it gave.
-    pub(super) back: Back<'a>,
+    pub(super) back: BackwardFn<'a>,
 }
 
-pub(super) type Back<'a> = Box<dyn FnOnce(&Tensor) -> Result<Vec<(Tensor, Tensor)>, TchError> + 'a>;
+pub(super) type BackwardFn<'a> =
+    Box<dyn FnOnce(&Tensor) -> Result<Vec<(Tensor, Tensor)>, TchError> + 'a>;
 
 /// What of an update is another one at every step.
 #[derive(Clone, Copy, Debug)]
@@ -298,7 +299,11 @@ impl FlatParameters {
     }
 
     /// The gradients of the leaves, with those of the backbone from what knows them.
-    fn gradients_with(&self, loss: &Tensor, below: Below<'_>) -> Result<Vec<Tensor>, TchError> {
+    fn gradients_with(
+        &self,
+        loss: &Tensor,
+        below: ManualBackward<'_>,
+    ) -> Result<Vec<Tensor>, TchError> {
         let known = self
             .keys
             .iter()
@@ -322,7 +327,7 @@ impl FlatParameters {
     pub(super) fn fused_step(
         &mut self,
         loss: &Tensor,
-        below: Option<Below<'_>>,
+        below: Option<ManualBackward<'_>>,
         rates: &Tensor,
         options: &TrainOptions,
     ) -> Result<Tensor, TchError> {

@@ -5,7 +5,7 @@
 use tch::{Device, TchError, Tensor};
 
 use super::options::TrainOptions;
-use super::{Progress, TrainError, Watch};
+use super::{Progress, TrainError, TrainingObserver};
 use trocar_nets::cuda_graph::{Capture, CapturedGraph};
 
 /// Steps before the captured one: in the first the libraries look for their best kernels.
@@ -27,7 +27,7 @@ impl Launch {
     pub(super) fn new(
         options: &TrainOptions,
         device: Device,
-        watch: &mut dyn Watch,
+        watch: &mut dyn TrainingObserver,
     ) -> Result<Self, TrainError> {
         if options.eager || !device.is_cuda() {
             return Ok(Self::Eager);
@@ -46,7 +46,7 @@ impl Launch {
         &mut self,
         inputs: &[Tensor],
         work: &mut dyn FnMut(&[Tensor]) -> Result<Tensor, TchError>,
-        watch: &mut dyn Watch,
+        watch: &mut dyn TrainingObserver,
     ) -> Result<Tensor, TrainError> {
         let before = std::mem::replace(self, Self::Eager);
         *self = match before {

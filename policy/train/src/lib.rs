@@ -39,4 +39,4 @@ pub use options::{Augmentation, Schedule, TrainOptions, TrainPrecision};
 pub use run_state::RunState;
 pub use segmenter::{LabelledScan, SegmenterTraining};
 pub use trained::{AnyTrained, Network, Trained, Trainer};
-pub use watch::{Progress, Watch};
+pub use watch::{Progress, TrainingObserver};

@@ -8,8 +8,8 @@ use tch::Device;
 
 use super::tests::ONE_AT_A_TIME;
 use super::{
-    LossCurve, Progress, RunState, TrainError, TrainOptions, Trainer, Watch, act_pc_tests,
-    dp3_tests, tests,
+    LossCurve, Progress, RunState, TrainError, TrainOptions, Trainer, TrainingObserver,
+    act_pc_tests, dp3_tests, tests,
 };
 use trocar_nets::parameters::Parameters;
 
@@ -20,7 +20,7 @@ struct Stopper {
     kept: Vec<u64>,
 }
 
-impl Watch for Stopper {
+impl TrainingObserver for Stopper {
     fn progress(&mut self, _progress: &Progress) {}
 
     fn wants_stop(&mut self) -> bool {
@@ -68,7 +68,8 @@ fn same(one: (&Parameters, &LossCurve), other: (&Parameters, &LossCurve)) {
 }
 
 /// A run from a state, or from the start.
-pub(super) type Run<'a, T> = dyn Fn(Option<&Path>, &mut dyn Watch) -> Result<T, TrainError> + 'a;
+pub(super) type Run<'a, T> =
+    dyn Fn(Option<&Path>, &mut dyn TrainingObserver) -> Result<T, TrainError> + 'a;
 
 /// Runs four steps at once, then two and two; `run` takes the state to go on from.
 pub(super) fn check<T: std::fmt::Debug>(
@@ -101,7 +102,7 @@ fn act_resumes_to_the_same_bits_and_only_as_itself() {
     let dataset = tests::dataset("resume-act");
     let config = tests::config();
     let options = four_steps(tests::options());
-    let run = |options: &TrainOptions, state: Option<&Path>, watch: &mut dyn Watch| {
+    let run = |options: &TrainOptions, state: Option<&Path>, watch: &mut dyn TrainingObserver| {
         trainer(state).run(&config, options, &dataset.dataset, watch)
     };
     let file = check(

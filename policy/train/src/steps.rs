@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use tch::{Kind, TchError, Tensor};
 
 use super::curve::{CurveRow, LossCurve};
-use super::flat::{Below, FlatParameters, Rates};
+use super::flat::{FlatParameters, ManualBackward, Rates};
 use super::frame_order::FrameOrder;
 use super::launch::Launch;
 use super::options::TrainOptions;
 use super::run_state::RunState;
-use super::{AnyTrained, Progress, TrainError, Watch};
+use super::{AnyTrained, Progress, TrainError, TrainingObserver};
 use hal::random::SplitMix64;
 use trocar_nets::generator;
 
@@ -41,7 +41,7 @@ pub(super) struct Losses<'a> {
     /// Divergence of the latent from the prior.
     pub(super) kl: Tensor,
     /// The backward pass below what the library differentiates; none if that is all.
-    pub(super) below: Option<Below<'a>>,
+    pub(super) below: Option<ManualBackward<'a>>,
 }
 
 impl Losses<'_> {
@@ -88,7 +88,7 @@ impl Steps<'_> {
         &self,
         flat: &mut FlatParameters,
         from: Option<&RunState>,
-        watch: &mut dyn Watch,
+        watch: &mut dyn TrainingObserver,
     ) -> Result<LossCurve, TrainError> {
         let options = self.options;
         let mut order = FrameOrder::new(self.split.trained, options.seed);
@@ -151,7 +151,7 @@ impl Steps<'_> {
         done: u64,
         flat: &FlatParameters,
         (curve, since_row): (&LossCurve, &[Tensor]),
-        watch: &mut dyn Watch,
+        watch: &mut dyn TrainingObserver,
     ) -> Result<(), TrainError> {
         if !watch.wants_network(done) {
             return Ok(());
@@ -168,7 +168,7 @@ impl Steps<'_> {
         step: u64,
         frames: &[usize],
         flat: &mut FlatParameters,
-        (launch, watch): (&mut Launch, &mut dyn Watch),
+        (launch, watch): (&mut Launch, &mut dyn TrainingObserver),
     ) -> Result<Tensor, TrainError> {
         let options = self.options;
         let mut random = SplitMix64::named(&format!("train/step/{step}"), options.seed);
@@ -310,7 +310,7 @@ fn validate(
 #[cfg(test)]
 mod tests {
     use super::{FlatParameters, Learner, Losses, Split, Steps};
-    use crate::{Progress, RunState, TrainError, TrainOptions, Watch};
+    use crate::{Progress, RunState, TrainError, TrainOptions, TrainingObserver};
     use hal::random::SplitMix64;
     use std::cell::Cell;
     use tch::{Device, Kind, TchError, Tensor};
@@ -358,7 +358,7 @@ mod tests {
     #[derive(Default)]
     struct Kept(Vec<u64>);
 
-    impl Watch for Kept {
+    impl TrainingObserver for Kept {
         fn progress(&mut self, _progress: &Progress) {}
 
         fn keep(&mut self, state: RunState) -> Result<(), TrainError> {

@@ -9,7 +9,7 @@ use super::flat::FlatParameters;
 use super::options::TrainOptions;
 use super::run_state::RunState;
 use super::steps::{Learner, Split, Steps};
-use super::{TrainError, Watch};
+use super::{TrainError, TrainingObserver};
 use trocar_data::perception::CloudRecipe;
 use trocar_data::relative_action::RELATIVE_ACTION_DIM;
 use trocar_nets::act::Act;
@@ -149,7 +149,7 @@ impl Trainer {
         prepared: &Prepared<'_, N::Statistics>,
         options: &TrainOptions,
         learner: impl FnOnce(N) -> Result<L, TrainError>,
-        watch: &mut dyn Watch,
+        watch: &mut dyn TrainingObserver,
     ) -> Result<Trained<N>, TrainError> {
         let mut flat = FlatParameters::new(fresh, self.device, options)?;
         let build = |tensors| N::build(config.clone(), ParameterSource::given(tensors));

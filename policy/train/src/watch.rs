@@ -26,7 +26,7 @@ pub enum Progress {
         /// Steps of the whole run.
         steps: u64,
     },
-    /// A step that [`Watch::wants_step`] wants was taken.
+    /// A step that [`TrainingObserver::wants_step`] wants was taken.
     Step {
         /// Steps done.
         step: u64,
@@ -50,7 +50,7 @@ pub enum Progress {
 }
 
 /// The observer of a run. A function of [`Progress`] is one that never stops it and stores nothing.
-pub trait Watch {
+pub trait TrainingObserver {
     /// Reports progress.
     fn progress(&mut self, progress: &Progress);
 
@@ -91,7 +91,7 @@ pub trait Watch {
     }
 }
 
-impl<F: FnMut(&Progress)> Watch for F {
+impl<F: FnMut(&Progress)> TrainingObserver for F {
     fn progress(&mut self, progress: &Progress) {
         self(progress);
     }

@@ -7,7 +7,7 @@ use super::aggregate::Aggregator;
 use super::config::{ControlConfig, FollowingError};
 use super::deviation::Deviation;
 use super::gate::{Gate, GateDecision};
-use super::instrument::{Instrument, Stance};
+use super::instrument::{Instrument, KinematicState};
 use super::mode::{Event, Mode, OperatingState, OperatorEvent, next};
 use super::motion::{AXES, Axes, MotionState};
 use super::report::{Fault, TickInput};
@@ -167,8 +167,8 @@ impl ArmControl {
             self.deviation = Deviation::default();
             return None;
         }
-        let measured = Stance::new(&MotionState::at_rest(arm));
-        let deviation = Deviation::between(&Stance::new(&self.commanded), &measured);
+        let measured = KinematicState::new(&MotionState::at_rest(arm));
+        let deviation = Deviation::between(&KinematicState::new(&self.commanded), &measured);
         self.deviation = self.deviation.held(&deviation);
         let parts = deviation.links_m.iter();
         self.following_error_m = parts.fold(self.following_error_m, |most, &part| most.max(part));
@@ -202,7 +202,7 @@ impl ArmControl {
     }
 
     /// Accepts the chunk and computes the nominal velocity towards its target; an arm that is not enabled comes to rest.
-    pub(super) fn plan(&mut self, input: &TickInput<'_>, stance: &Stance) -> Plan {
+    pub(super) fn plan(&mut self, input: &TickInput<'_>, stance: &KinematicState) -> Plan {
         if self.state != OperatingState::Enabled {
             return Plan::AT_REST;
         }

@@ -7,7 +7,7 @@ use super::arm_control::{ArmControl, Plan};
 use super::config::ControlConfig;
 use super::filter::{Filter, Filtered, Problem};
 use super::guard::{Decision, Guard, GuardError, MeasuredClearance, Request};
-use super::instrument::Stance;
+use super::instrument::KinematicState;
 use super::mode::{Event, Mode, OperatingState, OperatorEvent};
 use super::motion::{AXES, Axes, AxisLimits, MotionState};
 use super::report::{QpOutcome, TickInput, TickOutput, TickReport};
@@ -157,8 +157,8 @@ impl<const ARMS: usize> Controller<ARMS> {
             (arm.deviation, arm.measured)
         }));
         self.pause_beside_a_fault(inputs);
-        let stances: [Stance; ARMS] =
-            core::array::from_fn(|arm| Stance::new(&self.arms[arm].commanded));
+        let stances: [KinematicState; ARMS] =
+            core::array::from_fn(|arm| KinematicState::new(&self.arms[arm].commanded));
         let plans: [Plan; ARMS] =
             core::array::from_fn(|arm| self.arms[arm].plan(&inputs[arm], &stances[arm]));
         let filtered = self.filter(&plans, &stances);
@@ -195,7 +195,7 @@ impl<const ARMS: usize> Controller<ARMS> {
         }
     }
 
-    fn filter(&mut self, plans: &[Plan; ARMS], stances: &[Stance; ARMS]) -> Filtered {
+    fn filter(&mut self, plans: &[Plan; ARMS], stances: &[KinematicState; ARMS]) -> Filtered {
         if !plans.iter().any(|plan| plan.follows) {
             return Filtered::AT_REST;
         }
@@ -215,7 +215,7 @@ impl<const ARMS: usize> Controller<ARMS> {
         for (arm, plan) in nominal.chunks_exact_mut(AXES).zip(plans) {
             arm.copy_from_slice(&plan.nominal);
         }
-        let stances: [&Stance; ARMS] = core::array::from_fn(|arm| &stances[arm]);
+        let stances: [&KinematicState; ARMS] = core::array::from_fn(|arm| &stances[arm]);
         let filtered = self.filter.filter(&nominal, &self.rows, &stances);
         #[cfg(test)]
         let filtered = self.sabotage.filtered(filtered);

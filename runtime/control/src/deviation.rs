@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::instrument::{Instrument, LINKS, Stance};
+use super::instrument::{Instrument, KinematicState, LINKS};
 use super::kinematics::Frames;
 
 /// Decay of a held deviation per tick: it decays within about the longest stop, 0.4 s.
@@ -27,7 +27,7 @@ pub struct Deviation {
 impl Deviation {
     /// The deviation of `measured` from `commanded`.
     #[must_use]
-    pub fn between(commanded: &Stance, measured: &Stance) -> Self {
+    pub fn between(commanded: &KinematicState, measured: &KinematicState) -> Self {
         let apart = |point: fn(&Instrument) -> Vector3<f64>| {
             (point(&measured.instrument) - point(&commanded.instrument)).norm()
         };
@@ -79,16 +79,16 @@ fn turn(one: &Frames, other: &Frames) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::Deviation;
-    use crate::instrument::Stance;
+    use crate::instrument::KinematicState;
     use crate::motion::{AXES, JAW, MotionState};
 
-    fn stance(changes: &[(usize, f64)]) -> Stance {
+    fn stance(changes: &[(usize, f64)]) -> KinematicState {
         let mut state = MotionState::ZERO;
         state.position = [0.0, 0.0, 0.12, 0.0, 0.0, 0.0, 0.2];
         for &(axis, by) in changes {
             state.position[axis] += by;
         }
-        Stance::new(&state)
+        KinematicState::new(&state)
     }
 
     #[test]

@@ -9,7 +9,7 @@ use nalgebra::SMatrix;
 
 use super::active_set::{ActiveSet, CONES_MAX, Cone, LinearRow, ROWS_MAX, VARIABLES_MAX};
 use super::config::ControlConfig;
-use super::instrument::Stance;
+use super::instrument::KinematicState;
 use super::motion::{AXES, JAW};
 use super::report::QpOutcome;
 use super::rows::{ARMS_MAX, GEOMETRY_MAX, Rows, Velocities, WideJacobian, dot, velocity_scale};
@@ -122,7 +122,12 @@ impl Filter {
     }
 
     /// The velocities nearest to `nominal` that satisfy `rows`, which were filled for `stances`.
-    pub fn filter(&mut self, nominal: &Velocities, rows: &Rows, stances: &[&Stance]) -> Filtered {
+    pub fn filter(
+        &mut self,
+        nominal: &Velocities,
+        rows: &Rows,
+        stances: &[&KinematicState],
+    ) -> Filtered {
         let (velocity, outcome) = if rows.hold(nominal, PASS_TOLERANCE) {
             (*nominal, QpOutcome::NotNeeded)
         } else {
@@ -176,7 +181,7 @@ impl Filter {
         &mut self,
         nominal: &Velocities,
         rows: &Rows,
-        stances: &[&Stance],
+        stances: &[&KinematicState],
     ) -> Option<(Velocities, u32)> {
         self.problem.variables = rows.variables;
         self.set_cost(stances);
@@ -197,7 +202,7 @@ impl Filter {
         trusted.then_some((velocity, solution.iterations))
     }
 
-    fn set_cost(&mut self, stances: &[&Stance]) {
+    fn set_cost(&mut self, stances: &[&KinematicState]) {
         self.problem.hessian = [[0.0; VARIABLES_MAX]; VARIABLES_MAX];
         for (arm, stance) in stances.iter().enumerate() {
             let first = AXES * arm;

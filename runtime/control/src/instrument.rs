@@ -111,7 +111,7 @@ fn opening(jaw: f64) -> (f64, f64) {
 
 /// Axes, points and joint motion of one commanded state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stance {
+pub struct KinematicState {
     /// Axes and points, RCM frame.
     pub frames: Frames,
     /// The links' ends, RCM frame.
@@ -120,7 +120,7 @@ pub struct Stance {
     pub position: [f64; AXES],
 }
 
-impl Stance {
+impl KinematicState {
     /// The stance at `state`.
     #[must_use]
     pub fn new(state: &MotionState) -> Self {
@@ -183,7 +183,7 @@ impl Stance {
 
 #[cfg(test)]
 mod tests {
-    use super::{LINKS, Link, Stance};
+    use super::{KinematicState, LINKS, Link};
     use crate::motion::{AXES, JAW, MotionState};
     use hal::psm::{FINGER_M, POSITION_MAX, POSITION_MIN};
     use hal::random::SplitMix64;
@@ -207,12 +207,12 @@ mod tests {
         let step = 1e-6;
         for _ in 0..2_000 {
             let mut state = random_state(&mut random);
-            let here = Stance::new(&state);
+            let here = KinematicState::new(&state);
             let velocity = nalgebra::SVector::<f64, AXES>::from(state.velocity);
             for axis in 0..AXES {
                 state.position[axis] += step * state.velocity[axis];
             }
-            let there = Stance::new(&state);
+            let there = KinematicState::new(&state);
             let fraction = random.between(0.0, 1.0);
             let ends = here.instrument.links().into_iter();
             let later = there.instrument.links().into_iter();
@@ -231,7 +231,7 @@ mod tests {
     fn fingers_open_evenly_about_the_approach_direction() {
         let mut random = SplitMix64::new(42);
         let state = random_state(&mut random);
-        let stance = Stance::new(&state);
+        let stance = KinematicState::new(&state);
         let [left, right] = stance.instrument.fingers_m;
         let between = (left - stance.frames.tip_m).angle(&(right - stance.frames.tip_m));
         assert!((between - state.position[JAW]).abs() < 1e-12);

@@ -16,7 +16,7 @@ use nalgebra::SMatrix;
 use super::active_set::VARIABLES_MAX;
 use super::config::{ControlConfig, FORBIDDEN_MAX, Margins};
 use super::deviation::Deviation;
-use super::instrument::Stance;
+use super::instrument::KinematicState;
 use super::motion::{AXES, AxisLimits, MotionState};
 
 pub use names::names;
@@ -60,7 +60,7 @@ pub struct RowInput<'a> {
     /// The commanded state.
     pub state: &'a MotionState,
     /// Where that puts the instrument.
-    pub stance: &'a Stance,
+    pub stance: &'a KinematicState,
     /// Whether the filter decides about this arm; one that comes to rest is given.
     pub moves: bool,
     /// Measured effort of the jaw, N m; negative closes.

@@ -10,7 +10,7 @@ use prost::Message;
 use serde::de::DeserializeOwned;
 
 use super::container::{self, Visitor};
-use super::contents::Contents;
+use super::contents::ContentHash;
 use super::error::LogError;
 use super::header::{self, Closing, LogCounts, RunHeader, RunOutcome};
 use super::joints;
@@ -63,7 +63,7 @@ impl Facts {
 pub(super) struct Assembly<F> {
     to: F,
     pub(super) facts: Facts,
-    contents: Contents,
+    contents: ContentHash,
     next_record: u64,
     /// Whether there was a tick.
     begun: bool,
@@ -146,7 +146,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
         Self {
             to,
             facts: Facts::default(),
-            contents: Contents::default(),
+            contents: ContentHash::default(),
             next_record: 0,
             begun: false,
             parts: Default::default(),

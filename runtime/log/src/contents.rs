@@ -9,9 +9,9 @@ use sha2::{Digest as _, Sha256};
 
 /// The hash as it grows.
 #[derive(Clone, Default)]
-pub(super) struct Contents(Sha256);
+pub(super) struct ContentHash(Sha256);
 
-impl Contents {
+impl ContentHash {
     /// Takes in a message.
     pub(super) fn message(&mut self, topic: &str, header: &MessageHeader, data: &[u8]) {
         self.part(topic.as_bytes());
@@ -57,7 +57,7 @@ mod tests {
             publish_time: 0,
         };
         let of = |messages: &[(&str, u64, &[u8])]| {
-            let mut contents = Contents::default();
+            let mut contents = ContentHash::default();
             for (topic, at, data) in messages {
                 contents.message(topic, &header(*at), data);
             }
@@ -74,8 +74,8 @@ mod tests {
         ] {
             assert_ne!(honest, other);
         }
-        let mut contents = Contents::default();
+        let mut contents = ContentHash::default();
         contents.metadata("run", &BTreeMap::from([("a".to_owned(), "b".to_owned())]));
-        assert_ne!(contents.value(), Contents::default().value());
+        assert_ne!(contents.value(), ContentHash::default().value());
     }
 }

@@ -14,7 +14,7 @@ use rtrb::Consumer;
 
 use super::bound::Bound;
 use super::error::LogError;
-use super::happened::Happened;
+use super::happened::StateChanges;
 use super::header::{Closing, LogCounts, RunOutcome};
 use super::item::{ChunkItem, SideItem, TickItem};
 use super::level::Level;
@@ -66,7 +66,7 @@ pub(super) struct Drain {
     pub(super) shared: Arc<Shared>,
     pub(super) counts: LogCounts,
     /// What was reported of each arm.
-    pub(super) happened: Happened,
+    pub(super) happened: StateChanges,
     /// When the newest tick was.
     pub(super) now: TimeNs,
     /// The first failure; nothing is written after it.

@@ -6,14 +6,14 @@ use trocar_control::{Fault, GateDecision, OperatingState, OperatorEvent};
 use super::level::Level;
 use super::record::TickRecord;
 
-/// What was said of each arm.
+/// Tells changes of each arm's state from its ticks.
 #[derive(Debug)]
-pub struct Happened([Said; ARMS_MAX]);
+pub struct StateChanges([Said; ARMS_MAX]);
 
 /// Its state, its fault, and what the gate said of its newest chunk.
 type Said = (OperatingState, Option<Fault>, Option<GateDecision>);
 
-impl Happened {
+impl StateChanges {
     /// Of a run that has not begun.
     #[must_use]
     #[expect(clippy::new_without_default, reason = "a run begins somewhere")]

@@ -6,7 +6,7 @@ use hal::Pose;
 use hal::config::Source;
 use trocar_control::ControlConfig;
 
-use super::contents::Contents;
+use super::contents::ContentHash;
 
 /// How a run was set up; written before the first tick.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -191,7 +191,7 @@ pub(super) struct Closing {
 }
 
 /// The hash of a log that holds `before` and then the closing record `map`.
-pub(super) fn contents_after(before: &Contents, map: &Map) -> String {
+pub(super) fn contents_after(before: &ContentHash, map: &Map) -> String {
     let mut map = map.clone();
     map.remove(CONTENTS);
     let mut contents = before.clone();

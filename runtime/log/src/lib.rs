@@ -42,5 +42,5 @@ pub use read::{Loss, RunLog, read_steps};
 pub use record::{ArmRecord, LoggedArm, LoggedTick, TickRecord, TickTiming};
 pub use recorder::{LogFile, Pressure, Recorder, SideLog, TickLog, Writing};
 pub use ring::pre_faulted_queue;
-pub use shown::{Shown, read_shown};
+pub use shown::{LoggedItem, read_items};
 pub use step::{LogEnd, Step};

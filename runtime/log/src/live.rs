@@ -17,7 +17,7 @@ use super::safety::SafetyMessage;
 use super::topic::{Schema, Topic, pose_topic};
 
 pub use super::frames::SCENE;
-pub use super::happened::Happened;
+pub use super::happened::StateChanges;
 pub use super::topic::{EVENTS, SHAPES, TRANSFORMS, camera_of, image_topic, lens_topic};
 
 /// A topic, and how its messages are encoded.

@@ -19,7 +19,7 @@ use super::bound::Bound;
 use super::camera::FrameItem;
 use super::drain::{Drain, OnFailure, Shared};
 use super::error::LogError;
-use super::happened::Happened;
+use super::happened::StateChanges;
 use super::header::{LogCounts, RunHeader, RunOutcome};
 use super::item::{ChunkItem, SideItem, TickItem};
 use super::level::Level;
@@ -277,7 +277,7 @@ impl Recorder {
             outcome,
             shared: Arc::clone(&shared),
             counts: LogCounts::default(),
-            happened: Happened::new(),
+            happened: StateChanges::new(),
             now: TimeNs(0),
             failure: None,
             on_failure,

@@ -14,9 +14,9 @@ use super::messages::{CompressedImage, Log};
 use super::read;
 use super::topic::Topic;
 
-/// A thing to be seen in a log.
+/// An item of a log that a viewer shows.
 #[derive(Clone, Copy, Debug)]
-pub enum Shown<'a> {
+pub enum LoggedItem<'a> {
     /// What a camera saw.
     Image {
         /// The camera.
@@ -48,7 +48,7 @@ pub enum Shown<'a> {
 ///
 /// # Errors
 /// [`LogError`] when there is no such file, it is no MCAP file, or bytes in it have changed.
-pub fn read_shown(path: &Path, each: impl FnMut(Shown<'_>)) -> Result<(), LogError> {
+pub fn read_items(path: &Path, each: impl FnMut(LoggedItem<'_>)) -> Result<(), LogError> {
     let mut looking = Looking(each);
     container::walk(path, read::buffered(path)?, &mut looking).map(|_cut| ())
 }
@@ -56,20 +56,20 @@ pub fn read_shown(path: &Path, each: impl FnMut(Shown<'_>)) -> Result<(), LogErr
 /// Passes on every message, and images and events once more as what they are.
 struct Looking<F>(F);
 
-impl<F: FnMut(Shown<'_>)> Visitor for Looking<F> {
+impl<F: FnMut(LoggedItem<'_>)> Visitor for Looking<F> {
     fn message(&mut self, topic: &str, header: &MessageHeader, data: &[u8]) -> Result<(), String> {
         let at = TimeNs(header.log_time);
         if let Some((Topic::Events, _)) = Topic::find(topic) {
             let log = Log::decode(data).map_err(|error| error.to_string())?;
             let text = &log.message;
-            (self.0)(Shown::Event { at, text });
+            (self.0)(LoggedItem::Event { at, text });
         }
         if let Some(camera) = live::camera_of(topic) {
             let found = CompressedImage::decode(data).map_err(|error| error.to_string())?;
             let image = &found.data;
-            (self.0)(Shown::Image { camera, at, image });
+            (self.0)(LoggedItem::Image { camera, at, image });
         }
-        (self.0)(Shown::Message { topic, at, data });
+        (self.0)(LoggedItem::Message { topic, at, data });
         Ok(())
     }
 

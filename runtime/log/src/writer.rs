@@ -9,7 +9,7 @@ use mcap::{McapResult, WriteOptions, Writer};
 use prost::{EncodeError, Message};
 use serde::Serialize;
 
-use super::contents::Contents;
+use super::contents::ContentHash;
 use super::frames::{self, RCM_FRAMES, measured_tip};
 use super::header::{self, Closing, RunHeader};
 use super::item::{ChunkItem, TickItem};
@@ -44,8 +44,11 @@ fn options() -> WriteOptions {
 }
 
 /// Writes the run's header; what was written.
-fn write_header<W: Write + Seek>(writer: &mut Writer<W>, run: &RunHeader) -> McapResult<Contents> {
-    let mut contents = Contents::default();
+fn write_header<W: Write + Seek>(
+    writer: &mut Writer<W>,
+    run: &RunHeader,
+) -> McapResult<ContentHash> {
+    let mut contents = ContentHash::default();
     for (name, metadata) in run.to_metadata() {
         contents.metadata(name, &metadata);
         let name = name.to_owned();
@@ -63,7 +66,7 @@ pub(super) struct LogWriter<W: Write + Seek> {
     sequences: BTreeMap<u16, u32>,
     /// The name of each channel.
     names: BTreeMap<u16, String>,
-    contents: Contents,
+    contents: ContentHash,
     joints: JointMessages,
     /// Where the arms' remote centres are, if the run's limits say so.
     rcms_in_scene: Vec<Pose>,

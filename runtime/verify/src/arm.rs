@@ -10,7 +10,7 @@ use super::ledger::{Ledger, LimitId};
 use super::limits::{ArmLimits, Limits};
 use super::measured::{Measured, possible};
 use super::space::Space;
-use super::tip::{Place, Tip};
+use super::tip::{Tip, TipPose};
 
 /// What came before a command.
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +37,7 @@ pub(super) struct Arm {
     missing_limit: LimitId,
     hash_limit: LimitId,
     history: History,
-    place: Option<Place>,
+    place: Option<TipPose>,
     stamp: Option<u64>,
     /// Periods from the command before the newest to the newest.
     periods: f64,

@@ -18,7 +18,7 @@ pub(super) struct Tip {
 }
 
 /// A place of the tip.
-pub(super) type Place = (Point3<f64>, UnitQuaternion<f64>);
+pub(super) type TipPose = (Point3<f64>, UnitQuaternion<f64>);
 
 impl Tip {
     pub(super) fn new(ledger: &mut Ledger, limits: &Limits, arm: &str) -> Self {
@@ -37,7 +37,7 @@ impl Tip {
     }
 
     /// Where the tip of an instrument is.
-    pub(super) const fn place(at: &Instrument) -> Place {
+    pub(super) const fn place(at: &Instrument) -> TipPose {
         (at.control_point, at.rotation)
     }
 
@@ -46,8 +46,8 @@ impl Tip {
         &self,
         ledger: &mut Ledger,
         moment: Moment,
-        before: &Place,
-        after: &Place,
+        before: &TipPose,
+        after: &TipPose,
         elapsed_s: f64,
     ) {
         let ids = [moment.of(self.speed), moment.of(self.angular_speed)];

@@ -11,7 +11,9 @@ use trocar_render::{Camera, Light, Optics, Planes, RenderError, Renderer, Shadin
 
 use crate::SimulationError;
 use crate::scene::SceneSnapshot;
-use crate::task::{CameraConfig, Drawn, Look, TaskConfig, TaskScene, scene_poses, scene_visuals};
+use crate::task::{
+    Appearance, CameraConfig, Drawn, TaskConfig, TaskScene, scene_poses, scene_visuals,
+};
 use flap::DrawnFlap;
 
 pub use model::SceneModel;
@@ -32,7 +34,7 @@ pub struct SceneCameras {
     /// The endoscope: all cameras see in its light.
     endoscope: usize,
     /// How that differs from the scene file in this episode, if it does.
-    look: Option<Look>,
+    look: Option<Appearance>,
     /// Names of the visuals.
     visuals: Vec<&'static str>,
     /// Visuals of this episode whose shape the renderer does not have yet.

@@ -15,7 +15,7 @@ use trocar_world::tissue::{FlapSnapshot, TissueExtremes};
 use crate::SimulationError;
 use crate::cameras::SceneCameras;
 use crate::scene::{ArmScene, SceneSnapshot, SceneState, THINGS_MAX};
-use crate::task::{Criteria, Judge, Outcome, Sight, TaskConfig};
+use crate::task::{Criteria, Judge, MonitorInput, Outcome, TaskConfig};
 use hal::ARMS_MAX;
 pub use nudge::Nudge;
 
@@ -134,7 +134,7 @@ impl Simulation {
         if let Some(tissue) = self.world.tissue() {
             self.extremes.observe(tissue.report());
         }
-        self.judge.observe(&Sight::of(&self.world));
+        self.judge.observe(&MonitorInput::of(&self.world));
     }
 
     /// Advances by 1 ms before the episode begins, before the arms are commanded: nothing is judged, and the episode's time
@@ -164,7 +164,7 @@ impl Simulation {
     /// What has to be so for success, and how it is now.
     #[must_use]
     pub fn criteria(&self) -> Criteria {
-        self.judge.criteria(&Sight::of(&self.world))
+        self.judge.criteria(&MonitorInput::of(&self.world))
     }
 
     /// What the flap has gone through since the episode began, if there is one.

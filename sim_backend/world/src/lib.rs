@@ -12,6 +12,6 @@ mod world;
 mod shipped;
 
 pub use world::{
-    ArmBodies, ArmStart, FINGER_THICKNESS_M, Flap, Grasp, Ground, Meets, Piece, REST_M_S, Scenery,
-    Shape, Surface, Thing, World, WorldConfig,
+    ArmBodies, ArmStart, Collider, CollisionMask, FINGER_THICKNESS_M, Flap, Grasp, Ground,
+    REST_M_S, RigidBody, Scenery, Shape, Surface, World, WorldConfig,
 };

@@ -173,26 +173,26 @@ fn subscribe(socket: &mut WebSocket<TcpStream>) -> Vec<String> {
 }
 
 /// What a viewer is told.
-enum Told {
+enum ViewerEvent {
     /// A message of a topic, with its time, ns.
     Message(String, u64, Vec<u8>),
     /// What time it is, ns.
     Time(u64),
 }
 
-fn told(socket: &mut WebSocket<TcpStream>, topics: &[String]) -> Told {
+fn told(socket: &mut WebSocket<TcpStream>, topics: &[String]) -> ViewerEvent {
     loop {
         let Message::Binary(bytes) = socket.read().unwrap() else {
             continue;
         };
         let number = |from: usize| u64::from_le_bytes(bytes[from..from + 8].try_into().unwrap());
         if bytes[0] == 2 {
-            return Told::Time(number(1));
+            return ViewerEvent::Time(number(1));
         }
         assert_eq!(bytes[0], 1);
         let id = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
         let topic = topics[usize::try_from(id - 100).unwrap()].clone();
-        return Told::Message(topic, number(5), bytes[13..].to_vec());
+        return ViewerEvent::Message(topic, number(5), bytes[13..].to_vec());
     }
 }
 
@@ -207,7 +207,7 @@ fn heard(socket: &mut WebSocket<TcpStream>, topics: &[String]) -> BTreeMap<Strin
         heard.contains_key("/events") && lines(heard).iter().any(|line| line == ENABLED)
     };
     while heard.len() < topics.len() || frames(&heard) < 12 || !enabled(&heard) {
-        if let Told::Message(topic, at_ns, message) = told(socket, topics) {
+        if let ViewerEvent::Message(topic, at_ns, message) = told(socket, topics) {
             assert!(at_ns < 300_000_000_000, "{at_ns}");
             heard.entry(topic).or_default().push(message);
         }
@@ -317,11 +317,11 @@ fn foxglove_is_told_a_log_where_a_page_looks() {
         let (mut is_there, mut told_at) = (false, None);
         while told_at.is_none() {
             match told(&mut socket, &topics) {
-                Told::Time(ns) => is_there = (TimeNs(ns).seconds() - at).abs() < 0.003,
-                Told::Message(topic, ns, _) if is_there && topic == "/psm1/measured_js" => {
+                ViewerEvent::Time(ns) => is_there = (TimeNs(ns).seconds() - at).abs() < 0.003,
+                ViewerEvent::Message(topic, ns, _) if is_there && topic == "/psm1/measured_js" => {
                     told_at = Some(TimeNs(ns).seconds());
                 }
-                Told::Message(..) => {}
+                ViewerEvent::Message(..) => {}
             }
         }
         let behind = at - told_at.unwrap();

@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use serde_json::{Value, json};
 use tch::Device;
 use tests::{Profile, json as read_json, scratch, stderr, trocar};
-use trocar::session::episode::{Episode, StepView, Timing, Watcher};
+use trocar::session::episode::{Episode, EpisodeObserver, StepView, Timing};
 use trocar::session::latency::Latency;
 use trocar::session::{Plan, PolicyChoice, SessionError};
 use trocar_tasks::simulation::{Rendering, Simulation};
@@ -28,7 +28,7 @@ const OPERATOR: &str = include_str!("operator.js");
 #[derive(Default)]
 struct Targets(Vec<PerArm<TipTarget>>);
 
-impl Watcher for Targets {
+impl EpisodeObserver for Targets {
     fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
         if let Some(chunks) = view.answer {
             let targets = chunks.as_ref().map(|chunk| chunk.valid_targets()[0]);

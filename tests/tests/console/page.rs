@@ -10,7 +10,7 @@ use tungstenite::{Message, WebSocket};
 use crate::run::Served;
 
 /// What a page hears.
-pub(crate) enum Heard {
+pub(crate) enum PageEvent {
     /// JSON.
     Text(Value),
     /// A picture with its head.
@@ -50,7 +50,7 @@ impl<S: Read + Write> Page<S> {
     }
 
     /// The next message; those that are counted are not acknowledged.
-    pub(crate) fn hear(&mut self) -> Heard {
+    pub(crate) fn hear(&mut self) -> PageEvent {
         loop {
             match self.socket.read() {
                 Ok(Message::Text(text)) => {
@@ -58,21 +58,21 @@ impl<S: Read + Write> Page<S> {
                     let uncounted = ["answer", "problem", "end"];
                     let counted = !uncounted.contains(&value["kind"].as_str().unwrap());
                     self.unacknowledged += u32::from(counted);
-                    return Heard::Text(value);
+                    return PageEvent::Text(value);
                 }
                 Ok(Message::Binary(bytes)) => {
                     self.unacknowledged += 1;
-                    return Heard::Picture(bytes.to_vec());
+                    return PageEvent::Picture(bytes.to_vec());
                 }
                 Ok(Message::Close(frame)) => {
-                    return Heard::Closed(frame.map_or(1005, |frame| frame.code.into()));
+                    return PageEvent::Closed(frame.map_or(1005, |frame| frame.code.into()));
                 }
                 Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_)) => {}
                 Err(tungstenite::Error::ConnectionClosed | tungstenite::Error::AlreadyClosed) => {
-                    return Heard::Closed(1005);
+                    return PageEvent::Closed(1005);
                 }
                 Err(tungstenite::Error::Io(_) | tungstenite::Error::Protocol(_)) => {
-                    return Heard::Closed(1006);
+                    return PageEvent::Closed(1006);
                 }
                 Err(error) => panic!("{error}"),
             }
@@ -90,14 +90,14 @@ impl<S: Read + Write> Page<S> {
     pub(crate) fn wait_for(&mut self, kind: &str, fits: impl Fn(&Value) -> bool) -> Value {
         for _ in 0..20_000 {
             match self.hear() {
-                Heard::Text(value) => {
+                PageEvent::Text(value) => {
                     self.acknowledge();
                     if value["kind"] == kind && fits(&value) {
                         return value;
                     }
                 }
-                Heard::Picture(_) => self.acknowledge(),
-                Heard::Closed(code) => panic!("closed with {code} before a {kind} that fits"),
+                PageEvent::Picture(_) => self.acknowledge(),
+                PageEvent::Closed(code) => panic!("closed with {code} before a {kind} that fits"),
             }
         }
         panic!("no {kind} that fits");
@@ -107,12 +107,12 @@ impl<S: Read + Write> Page<S> {
     pub(crate) fn wait_for_picture(&mut self) -> Vec<u8> {
         loop {
             match self.hear() {
-                Heard::Picture(bytes) => {
+                PageEvent::Picture(bytes) => {
                     self.acknowledge();
                     return bytes;
                 }
-                Heard::Text(_) => self.acknowledge(),
-                Heard::Closed(code) => panic!("closed with {code} before a picture"),
+                PageEvent::Text(_) => self.acknowledge(),
+                PageEvent::Closed(code) => panic!("closed with {code} before a picture"),
             }
         }
     }

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use tests::json;
 use tungstenite::Message;
 
-use crate::page::{Heard, Page};
+use crate::page::{Page, PageEvent};
 use crate::run::{GROWTH_MB, Served, mutated_messages};
 
 /// Mutated messages that are sent at least.
@@ -84,7 +84,7 @@ fn one_page_steers_and_others_look_on() {
     assert!(other.command("stop").0);
     let end = other.wait_for("end", |_| true);
     assert_eq!(end["reason"], "stopped by the operator");
-    assert!(matches!(other.hear(), Heard::Closed(1000)));
+    assert!(matches!(other.hear(), PageEvent::Closed(1000)));
     assert_eq!(served.code(), 1);
     let result = json(&served.folder.join("result.json"));
     assert_eq!(result["reason"], "stopped by the operator");
@@ -166,10 +166,12 @@ fn a_slow_page_sees_the_newest() {
     let (mut later, mut shown) = (before, 0.0);
     while later <= before + 2.0 || shown <= before {
         match watching.hear() {
-            Heard::Text(text) if text["kind"] == "state" => later = seconds(&text),
-            Heard::Text(_) => {}
-            Heard::Picture(bytes) => shown = f64::from_le_bytes(bytes[8..16].try_into().unwrap()),
-            Heard::Closed(code) => panic!("closed with {code}"),
+            PageEvent::Text(text) if text["kind"] == "state" => later = seconds(&text),
+            PageEvent::Text(_) => {}
+            PageEvent::Picture(bytes) => {
+                shown = f64::from_le_bytes(bytes[8..16].try_into().unwrap())
+            }
+            PageEvent::Closed(code) => panic!("closed with {code}"),
         }
         watching.acknowledge();
     }
@@ -178,15 +180,15 @@ fn a_slow_page_sees_the_newest() {
     let mut first_picture = None;
     while first_state.is_none() || first_picture.is_none() {
         match slow.hear() {
-            Heard::Text(text) if text["kind"] == "state" => {
+            PageEvent::Text(text) if text["kind"] == "state" => {
                 first_state.get_or_insert(seconds(&text));
             }
-            Heard::Text(_) => {}
-            Heard::Picture(bytes) => {
+            PageEvent::Text(_) => {}
+            PageEvent::Picture(bytes) => {
                 let stamp = f64::from_le_bytes(bytes[8..16].try_into().unwrap());
                 first_picture.get_or_insert(stamp);
             }
-            Heard::Closed(code) => panic!("closed with {code}"),
+            PageEvent::Closed(code) => panic!("closed with {code}"),
         }
         slow.acknowledge();
     }
@@ -194,14 +196,14 @@ fn a_slow_page_sees_the_newest() {
     assert!(first_picture >= Some(shown), "{first_picture:?} at {shown}");
 
     while slow.unacknowledged < 8 {
-        if let Heard::Closed(code) = slow.hear() {
+        if let PageEvent::Closed(code) = slow.hear() {
             panic!("closed with {code}");
         }
     }
     assert!(watching.command("stop").0);
-    let ended = |heard: Heard| matches!(heard, Heard::Text(text) if text["kind"] == "end");
+    let ended = |heard: PageEvent| matches!(heard, PageEvent::Text(text) if text["kind"] == "end");
     assert!(ended(slow.hear()));
-    assert!(matches!(slow.hear(), Heard::Closed(1000)));
+    assert!(matches!(slow.hear(), PageEvent::Closed(1000)));
     assert_eq!(served.code(), 1);
 }
 
@@ -213,7 +215,7 @@ fn too_large_and_too_many_messages_end_a_page() {
         .socket
         .send(Message::text("x".repeat(100_000)))
         .unwrap();
-    while !matches!(large.hear(), Heard::Closed(_)) {}
+    while !matches!(large.hear(), PageEvent::Closed(_)) {}
     let mut many = Page::open(&served);
     let mut sent = 0;
     while many.socket.send(Message::text("{}")).is_ok() && sent < 5000 {
@@ -221,14 +223,14 @@ fn too_large_and_too_many_messages_end_a_page() {
     }
     let mut code = None;
     while code.is_none() {
-        if let Heard::Closed(closed) = many.hear() {
+        if let PageEvent::Closed(closed) = many.hear() {
             code = Some(closed);
         }
     }
     assert!(matches!(code, Some(1008 | 1006)), "{code:?}");
     let pages: Vec<Page> = (0..16).map(|_| Page::open(&served)).collect();
     let mut one_more = Page::open(&served);
-    assert!(matches!(one_more.hear(), Heard::Closed(1013)));
+    assert!(matches!(one_more.hear(), PageEvent::Closed(1013)));
     drop(pages);
 }
 

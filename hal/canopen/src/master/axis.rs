@@ -9,9 +9,9 @@ use crate::cia402::Status;
 use crate::number::{real, seconds, whole};
 use hal::TimeNs;
 
-/// What a drive said in one answer.
+/// A drive's feedback in one cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Answer {
+pub(super) struct Feedback {
     pub(super) status: Status,
     pub(super) position: i32,
     pub(super) torque: i16,
@@ -59,7 +59,7 @@ pub struct AxisHealth {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Axis {
-    pub(super) newest: Option<Answer>,
+    pub(super) newest: Option<Feedback>,
     pub(super) health: AxisHealth,
     pub(super) last_heartbeat: Option<TimeNs>,
     /// The NMT state that its newest heartbeat reported.
@@ -97,7 +97,7 @@ pub(super) struct Axis {
     unsteadiness: u32,
     /// The newest answer of an earlier cycle and when it was measured: what this cycle's answers are held against, so that
     /// many in one cycle lead no further than one.
-    before: Option<(Answer, TimeNs)>,
+    before: Option<(Feedback, TimeNs)>,
 }
 
 impl Axis {
@@ -134,7 +134,7 @@ impl Axis {
         cycle_ns: u64,
         sync: TimeNs,
         data: &[u8],
-    ) -> Result<Answer, Rejected> {
+    ) -> Result<Feedback, Rejected> {
         if !self.usable {
             self.before = self.newest.map(|newest| (newest, self.sampled));
         }
@@ -166,7 +166,12 @@ impl Axis {
     }
 
     /// Refuses places that the axis cannot have reached, with half again its greatest speed and a little for rounding.
-    fn believe(&self, plan: &AxisPlan, gap_ns: u64, answer: Answer) -> Result<Answer, Rejected> {
+    fn believe(
+        &self,
+        plan: &AxisPlan,
+        gap_ns: u64,
+        answer: Feedback,
+    ) -> Result<Feedback, Rejected> {
         let Some((before, _)) = self.before else {
             return Ok(answer);
         };
@@ -296,14 +301,14 @@ impl Axis {
     }
 }
 
-fn parse(data: &[u8]) -> Result<Answer, Rejected> {
+fn parse(data: &[u8]) -> Result<Feedback, Rejected> {
     if data.len() != usize::from(ANSWER_BYTES) {
         return Err(Rejected::Length(data.len()));
     }
     let [s0, s1, p0, p1, p2, p3, t0, t1] =
         <[u8; 8]>::try_from(data).map_err(|_| Rejected::Length(data.len()))?;
     let status = u16::from_le_bytes([s0, s1]);
-    Ok(Answer {
+    Ok(Feedback {
         status: Status::parse(status).map_err(|_| Rejected::Status)?,
         position: i32::from_le_bytes([p0, p1, p2, p3]),
         torque: i16::from_le_bytes([t0, t1]),

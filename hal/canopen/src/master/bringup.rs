@@ -21,7 +21,7 @@ use std::sync::mpsc::Sender;
 use super::arm::CanArm;
 use super::foreign::leads;
 use super::link::Bus;
-use super::plan::{ArmPlan, Who};
+use super::plan::{ArmPlan, AxisNode};
 use crate::Frame;
 use crate::cia301::{Cob, NmtCommand, NmtState, NmtTarget};
 use crate::cia402::Mode;
@@ -34,7 +34,7 @@ pub use step::Step;
 
 use exchange::Exchange;
 use timed::{expect, send};
-use watched::Watched;
+use watched::MonitoredBuses;
 
 /// How long a node may take to boot up, ns.
 const BOOT_NS: u64 = 2_000_000_000;
@@ -48,21 +48,21 @@ const PROFILE_402: u32 = 402;
 /// Buses, and nothing known about them.
 #[derive(Debug)]
 pub struct Offline<B> {
-    bus: Watched<B>,
+    bus: MonitoredBuses<B>,
     plan: ArmPlan,
 }
 
 /// Every node of the plan is there, in pre-operational, as after power-on.
 #[derive(Debug)]
 pub struct Scanned<B> {
-    bus: Watched<B>,
+    bus: MonitoredBuses<B>,
     plan: ArmPlan,
 }
 
 /// Every node is what the plan says.
 #[derive(Debug)]
 pub struct Identified<B> {
-    bus: Watched<B>,
+    bus: MonitoredBuses<B>,
     plan: ArmPlan,
     /// Serial numbers in the order of the axes.
     serials: [u32; TAIL_AXES],
@@ -71,14 +71,14 @@ pub struct Identified<B> {
 /// Process data, watches and modes are set and read back.
 #[derive(Debug)]
 pub struct Mapped<B> {
-    bus: Watched<B>,
+    bus: MonitoredBuses<B>,
     plan: ArmPlan,
 }
 
 /// Every axis has its reference; no torque.
 #[derive(Debug)]
 pub struct Homed<B> {
-    bus: Watched<B>,
+    bus: MonitoredBuses<B>,
     plan: ArmPlan,
     /// The home offset that each drive was given, counts; none if it has no such object.
     homes: homing::Homes,
@@ -92,7 +92,7 @@ impl<B: Bus> Offline<B> {
     pub fn new(bus: B, plan: &ArmPlan) -> Result<Self, BringUpError> {
         plan.check_load()?;
         Ok(Self {
-            bus: Watched::new(bus, plan),
+            bus: MonitoredBuses::new(bus, plan),
             plan: *plan,
         })
     }
@@ -136,7 +136,7 @@ impl<B: Bus> Offline<B> {
     }
 }
 
-async fn reset<B: Bus>(exchange: &Exchange<'_, B>, who: Who) -> Result<(), BringUpError> {
+async fn reset<B: Bus>(exchange: &Exchange<'_, B>, who: AxisNode) -> Result<(), BringUpError> {
     let reset = NmtCommand::ResetNode.emit(NmtTarget::Node(who.node));
     exchange.send(who.line, reset).await?;
     let boots = |frame: &Frame| {
@@ -220,7 +220,7 @@ impl<B: Bus> Identified<B> {
     pub fn map(mut self) -> Result<Mapped<B>, BringUpError> {
         let plan = self.plan;
         self.bus.enter(Step::SettingUp)?;
-        let set_up = async |exchange: &Exchange<'_, Watched<B>>, axis| {
+        let set_up = async |exchange: &Exchange<'_, MonitoredBuses<B>>, axis| {
             configure::node(exchange, &plan, axis).await?;
             exchange.with_bus(|bus| bus.note_set_up(axis));
             Ok(())

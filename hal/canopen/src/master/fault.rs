@@ -3,7 +3,7 @@
 use core::fmt;
 
 use super::axis::Rejected;
-use super::plan::Who;
+use super::plan::AxisNode;
 use crate::CanId;
 use crate::cia301::NmtState;
 use crate::cia301::emcy::ErrorCode;
@@ -38,31 +38,31 @@ pub enum Fault {
         id: CanId,
     },
     /// No heartbeat.
-    NodeLost(Who),
+    NodeLost(AxisNode),
     /// The node was reset: it booted up while it was in use.
-    Rebooted(Who),
+    Rebooted(AxisNode),
     /// The node left operational.
-    LeftOperational(Who, NmtState),
+    LeftOperational(AxisNode, NmtState),
     /// The node sent an emergency.
-    Emergency(Who, ErrorCode),
+    Emergency(AxisNode, ErrorCode),
     /// No process data for so many cycles.
-    Silent(Who, u32),
+    Silent(AxisNode, u32),
     /// Process data that can't be used for so many cycles, and what is wrong with it.
-    Unusable(Who, Rejected, u32),
+    Unusable(AxisNode, Rejected, u32),
     /// Less than three in four of its process data come in time.
-    Unsteady(Who),
+    Unsteady(AxisNode),
     /// The drive is not enabled any more, or did not become so in time.
-    NotEnabled(Who, PowerState),
+    NotEnabled(AxisNode, PowerState),
     /// The motor is too far from its set-point, by this many counts.
-    FollowingError(Who, u32),
+    FollowingError(AxisNode, u32),
     /// The drive's power stage has no voltage.
-    PowerLost(Who),
+    PowerLost(AxisNode),
 }
 
 impl Fault {
     /// The axis that it concerns, none if it is the bus.
     #[must_use]
-    pub const fn who(&self) -> Option<Who> {
+    pub const fn who(&self) -> Option<AxisNode> {
         match self {
             Self::BusOff { .. }
             | Self::Down { .. }
@@ -121,7 +121,7 @@ pub(super) const fn is_harmless(code: ErrorCode) -> bool {
     )
 }
 
-impl fmt::Display for Who {
+impl fmt::Display for AxisNode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,

@@ -9,12 +9,12 @@ pub enum Received {
     /// A frame that another node sent.
     Frame(Frame),
     /// The controller, or the system around it, is in trouble.
-    Trouble(Trouble),
+    ControllerEvent(ControllerEvent),
 }
 
-/// What a controller tells about itself.
+/// A state change or error that a CAN controller reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Trouble {
+pub enum ControllerEvent {
     /// It counted too many errors and has left the bus.
     BusOff,
     /// It was off the bus and is back.

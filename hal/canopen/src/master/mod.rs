@@ -80,6 +80,6 @@ pub use bringup::client;
 pub use bringup::{BringUpError, Homed, Offline, Permission, Step, enable_together};
 pub use config::CanConfig;
 pub use fault::Fault;
-pub use link::{Bus, Received, Trouble};
-pub use plan::{ArmPlan, AxisPlan, Who};
+pub use link::{Bus, ControllerEvent, Received};
+pub use plan::{ArmPlan, AxisNode, AxisPlan};
 pub use space::Space;

@@ -18,7 +18,7 @@ const QUICK_STOP_S: f64 = 0.02;
 
 /// An axis with the node that drives it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Who {
+pub struct AxisNode {
     /// Joint index, 6 for the jaw.
     pub axis: u8,
     /// Its node.
@@ -174,9 +174,9 @@ impl AxisPlan {
 impl ArmPlan {
     /// The axis `axis` with its node.
     #[must_use]
-    pub fn who(&self, axis: usize) -> Who {
+    pub fn who(&self, axis: usize) -> AxisNode {
         let plan = &self.axes[axis];
-        Who {
+        AxisNode {
             axis: count_u8(axis),
             node: plan.node,
             line: plan.line,

@@ -11,7 +11,7 @@ use std::io;
 use socketcan::id::ERR_MASK_ALL;
 use socketcan::{CanSocket, Socket as _, SocketOptions as _};
 
-use super::master::{Bus, Received, Trouble};
+use super::master::{Bus, ControllerEvent, Received};
 use super::{CanId, Frame, Payload};
 use hal::TimeNs;
 use sys::{BATCH, RawFrame};
@@ -52,7 +52,7 @@ struct Line {
     /// Frames that this socket missed so far, as the kernel counts.
     missed: u32,
     /// What sending met, to be reported with the next frames.
-    trouble: Option<Trouble>,
+    trouble: Option<ControllerEvent>,
 }
 
 impl<C: Clock> SocketBus<C> {
@@ -111,7 +111,7 @@ impl Line {
                 }
                 Err(error) => {
                     if is_down(&error) {
-                        self.trouble = Some(Trouble::Down);
+                        self.trouble = Some(ControllerEvent::Down);
                     }
                     break;
                 }
@@ -126,13 +126,13 @@ impl Line {
         let lost = missed.wrapping_sub(self.missed);
         self.missed = missed;
         if lost > 0 {
-            sink(Received::Trouble(Trouble::Lost(lost)));
+            sink(Received::ControllerEvent(ControllerEvent::Lost(lost)));
         }
     }
 
     fn receive(&mut self, sink: &mut dyn FnMut(Received)) {
         if let Some(trouble) = self.trouble.take() {
-            sink(Received::Trouble(trouble));
+            sink(Received::ControllerEvent(trouble));
         }
         let mut raw = [RawFrame::default(); BATCH];
         for _ in 0..BATCHES_MAX {
@@ -146,7 +146,7 @@ impl Line {
                 }
                 Err(error) => {
                     if is_down(&error) {
-                        sink(Received::Trouble(Trouble::Down));
+                        sink(Received::ControllerEvent(ControllerEvent::Down));
                     }
                     return;
                 }
@@ -188,7 +188,7 @@ impl RawFrame {
                 let payload = Payload::truncated(&self.data[..length]);
                 Received::Frame(Frame::new(id, payload))
             }
-            None => Received::Trouble(Trouble::Foreign),
+            None => Received::ControllerEvent(ControllerEvent::Foreign),
         });
     }
 
@@ -203,25 +203,25 @@ impl RawFrame {
         const PASSIVE: u8 = 0x30;
         const WARNING: u8 = 0x0C;
         const ACTIVE: u8 = 0x40;
-        let mut tell = |trouble| sink(Received::Trouble(trouble));
+        let mut tell = |trouble| sink(Received::ControllerEvent(trouble));
         if self.id & BUS_OFF != 0 {
-            tell(Trouble::BusOff);
+            tell(ControllerEvent::BusOff);
         }
         if self.id & RESTARTED != 0 {
-            tell(Trouble::Restarted);
+            tell(ControllerEvent::Restarted);
         }
         if self.id & CONTROLLER != 0 {
             let state = self.data[1];
             if state & PASSIVE != 0 {
-                tell(Trouble::ErrorPassive);
+                tell(ControllerEvent::ErrorPassive);
             }
             // It becomes less than passive step by step.
             let recovers = state & (WARNING | ACTIVE) != 0 && state & PASSIVE == 0;
             if recovers {
-                tell(Trouble::ErrorActive);
+                tell(ControllerEvent::ErrorActive);
             }
             if state & OVERFLOW != 0 {
-                tell(Trouble::Lost(1));
+                tell(ControllerEvent::Lost(1));
             }
         }
     }

@@ -27,7 +27,7 @@ fn frames_come_back_from_the_kernels_layout() {
 
 #[test]
 fn what_no_canopen_device_sends_is_foreign() {
-    let foreign = [Received::Trouble(Trouble::Foreign)];
+    let foreign = [Received::ControllerEvent(ControllerEvent::Foreign)];
     assert_eq!(told(libc::CAN_EFF_FLAG | 0x185, 0, [0; 8]), foreign);
     assert_eq!(told(libc::CAN_RTR_FLAG | 0x185, 0, [0; 8]), foreign);
     assert_eq!(told(0x800, 0, [0; 8]), foreign);
@@ -35,18 +35,30 @@ fn what_no_canopen_device_sends_is_foreign() {
 
 #[test]
 fn error_frames_say_what_the_controller_is_like() {
-    let trouble = |trouble| [Received::Trouble(trouble)];
-    assert_eq!(troubles(0x040, 0), trouble(Trouble::BusOff));
-    assert_eq!(troubles(0x100, 0), trouble(Trouble::Restarted));
-    assert_eq!(troubles(0x004, 0x10), trouble(Trouble::ErrorPassive));
-    assert_eq!(troubles(0x004, 0x20), trouble(Trouble::ErrorPassive));
-    assert_eq!(troubles(0x004, 0x40), trouble(Trouble::ErrorActive));
-    assert_eq!(troubles(0x004, 0x01), trouble(Trouble::Lost(1)));
+    let trouble = |trouble| [Received::ControllerEvent(trouble)];
+    assert_eq!(troubles(0x040, 0), trouble(ControllerEvent::BusOff));
+    assert_eq!(troubles(0x100, 0), trouble(ControllerEvent::Restarted));
+    assert_eq!(
+        troubles(0x004, 0x10),
+        trouble(ControllerEvent::ErrorPassive)
+    );
+    assert_eq!(
+        troubles(0x004, 0x20),
+        trouble(ControllerEvent::ErrorPassive)
+    );
+    assert_eq!(troubles(0x004, 0x40), trouble(ControllerEvent::ErrorActive));
+    assert_eq!(troubles(0x004, 0x01), trouble(ControllerEvent::Lost(1)));
     // On the way from passive to active there are warnings.
     for state in [0x04, 0x08, 0x0C] {
-        assert_eq!(troubles(0x004, state), trouble(Trouble::ErrorActive));
+        assert_eq!(
+            troubles(0x004, state),
+            trouble(ControllerEvent::ErrorActive)
+        );
     }
-    assert_eq!(troubles(0x004, 0x14), trouble(Trouble::ErrorPassive));
+    assert_eq!(
+        troubles(0x004, 0x14),
+        trouble(ControllerEvent::ErrorPassive)
+    );
     assert_eq!(troubles(0x200, 0), [], "counters");
 }
 

@@ -5,7 +5,8 @@ use std::thread;
 
 use super::{Drives, MS, Real, alone, frame, node, plan, socket};
 use trocar_canopen::master::{
-    ArmPlan, BringUpError, Bus as _, Homed, Offline, Permission, Received, Trouble, enable_together,
+    ArmPlan, BringUpError, Bus as _, ControllerEvent, Homed, Offline, Permission, Received,
+    enable_together,
 };
 use trocar_canopen::socket::SocketBus;
 use trocar_canopen::{CanId, NodeId};
@@ -66,7 +67,10 @@ fn waiting_arm_misses_no_frame_and_both_are_enabled() {
     heard.unwrap();
     let mut lost = 0;
     arms[0].bus_mut().receive(0, &mut |received| {
-        lost += u32::from(matches!(received, Received::Trouble(Trouble::Lost(_))));
+        lost += u32::from(matches!(
+            received,
+            Received::ControllerEvent(ControllerEvent::Lost(_))
+        ));
     });
     assert_eq!(lost, 0);
     let mut arms = enable_together(arms.into(), &mut || Permission::Granted).unwrap();

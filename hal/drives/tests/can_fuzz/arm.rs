@@ -6,10 +6,10 @@ use trocar_drives::AxisConfig;
 use trocar_drives::node::Node;
 use trocar_drives::{IdealMotor, Network};
 
-use crate::life::Life;
+use crate::life::Scenario;
 use crate::memory;
 use crate::noisy::Noisy;
-use crate::promises::{Beat, Beats, Stamped, stop_ns};
+use crate::promises::{Stamped, SyncPeriod, SyncPeriods, stop_ns};
 use crate::seen::Seen;
 
 /// Cycles for which an arm is watched after it has come to rest, or after everything has happened to it.
@@ -77,7 +77,7 @@ fn bring_up(noisy: Noisy, plan: &ArmPlan) -> Option<CanArm<Noisy>> {
 }
 
 /// One life; tells the first thing in it that must not be.
-pub(crate) fn live(shipped: &ArmPlan, life: &Life, tally: &mut Tally) -> Result<(), String> {
+pub(crate) fn live(shipped: &ArmPlan, life: &Scenario, tally: &mut Tally) -> Result<(), String> {
     memory::begin();
     let plan = life.buses.plan(shipped);
     let part = f64::from(life.place) / 1000.0;
@@ -121,13 +121,13 @@ fn swing(plan: &ArmPlan, part: f64, now: TimeNs, cycle: u32) -> ArmCommand {
 }
 
 /// A controller that is silent in every seventh cycle, as fast as the bus or faster.
-fn lead(mut arm: CanArm<Noisy>, life: &Life, part: f64, tally: &mut Tally) {
+fn lead(mut arm: CanArm<Noisy>, life: &Scenario, part: f64, tally: &mut Tally) {
     let plan = *arm.plan();
     let seen = arm.bus_mut().seen();
     arm.bus_mut().begin();
     let pace = u64::from(life.pace).min(plan.cycle_ns / TICK_NS).max(1);
     let enough = (CYCLES_AFTER + stop_ns(&plan) / plan.cycle_ns) * pace;
-    let (mut after, mut cycle, mut beats) = (0, 0, Beats::default());
+    let (mut after, mut cycle, mut beats) = (0, 0, SyncPeriods::default());
     while after < enough && seen.borrow().wrong.is_none() {
         let stall_ns = arm.bus_mut().take_stall_ns();
         let period_ns = plan.cycle_ns / pace + stall_ns;
@@ -136,7 +136,7 @@ fn lead(mut arm: CanArm<Noisy>, life: &Life, part: f64, tally: &mut Tally) {
         let now = arm.bus_mut().now();
         cycle += 1;
         let command = swing(&plan, part, now, cycle);
-        let beat = Beat::of(&mut arm);
+        let beat = SyncPeriod::of(&mut arm);
         let before = memory::requests();
         let measured = arm.read(now);
         let kept = beats.check(&mut arm, &beat, now, measured.as_ref().ok());

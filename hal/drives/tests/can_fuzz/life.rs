@@ -6,7 +6,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::select;
 use trocar_canopen::Frame;
-use trocar_canopen::master::{ArmPlan, Trouble};
+use trocar_canopen::master::{ArmPlan, ControllerEvent};
 use trocar_drives::Tampering;
 
 use crate::frames::{Mood, anything};
@@ -17,7 +17,7 @@ const ACTS_MAX: usize = 6;
 
 /// A whole story, which shrinks to a small one.
 #[derive(Clone, Debug)]
-pub(crate) struct Life {
+pub(crate) struct Scenario {
     /// Which buses, and how full they are without strangers.
     pub(crate) buses: Buses,
     /// Whether it begins with the bring-up and not with an enabled arm.
@@ -30,7 +30,7 @@ pub(crate) struct Life {
     pub(crate) bursts: Vec<Burst>,
 }
 
-impl Life {
+impl Scenario {
     /// One in which nothing happens.
     pub(crate) const fn quiet(buses: Buses) -> Self {
         Self {
@@ -69,7 +69,7 @@ pub(crate) enum Act {
     /// A stranger sends a frame.
     Frame(u8, Frame),
     /// The master's controller says something about itself, or hears what no CANopen device sends.
-    Trouble(u8, Trouble),
+    ControllerEvent(u8, ControllerEvent),
     /// The master's controller goes off the bus, or comes back.
     BusOff(u8, bool),
     /// There is no room in the master's queue, so many times.
@@ -84,8 +84,8 @@ pub(crate) enum Act {
     Stuck(u8),
     /// The master's thread does not run for so many milliseconds.
     Stall(u16),
-    /// The master's clock leaps by so many milliseconds.
-    Leap(i32),
+    /// The master's clock jumps by so many milliseconds.
+    ClockJump(i32),
 }
 
 impl fmt::Debug for Act {
@@ -93,7 +93,9 @@ impl fmt::Debug for Act {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Frame(line, frame) => write!(f, "Frame({line}, {frame})"),
-            Self::Trouble(line, trouble) => write!(f, "Trouble({line}, {trouble:?})"),
+            Self::ControllerEvent(line, trouble) => {
+                write!(f, "ControllerEvent({line}, {trouble:?})")
+            }
             Self::BusOff(line, off) => write!(f, "BusOff({line}, {off})"),
             Self::NoRoom(line, times) => write!(f, "NoRoom({line}, {times})"),
             Self::Lose(line, frames) => write!(f, "Lose({line}, {frames})"),
@@ -102,7 +104,7 @@ impl fmt::Debug for Act {
             Self::Power(axis, on) => write!(f, "Power({axis}, {on})"),
             Self::Stuck(axis) => write!(f, "Stuck({axis})"),
             Self::Stall(ms) => write!(f, "Stall({ms})"),
-            Self::Leap(ms) => write!(f, "Leap({ms})"),
+            Self::ClockJump(ms) => write!(f, "ClockJump({ms})"),
         }
     }
 }
@@ -139,12 +141,12 @@ fn trouble() -> BoxedStrategy<Act> {
     let line = || 0..3_u8;
     let told = select(
         &[
-            Trouble::Foreign,
-            Trouble::ErrorPassive,
-            Trouble::ErrorActive,
-            Trouble::Restarted,
-            Trouble::BusOff,
-            Trouble::Down,
+            ControllerEvent::Foreign,
+            ControllerEvent::ErrorPassive,
+            ControllerEvent::ErrorActive,
+            ControllerEvent::Restarted,
+            ControllerEvent::BusOff,
+            ControllerEvent::Down,
         ][..],
     );
     let spoilt = prop_oneof![
@@ -157,9 +159,9 @@ fn trouble() -> BoxedStrategy<Act> {
         8 => spoilt.prop_map(Act::Spoil),
         4 => (line(), 0..40_u8).prop_map(|(line, frames)| Act::Lose(line, frames)),
         4 => (line(), 0..60_u8).prop_map(|(line, times)| Act::NoRoom(line, times)),
-        3 => (line(), told).prop_map(|(line, trouble)| Act::Trouble(line, trouble)),
+        3 => (line(), told).prop_map(|(line, trouble)| Act::ControllerEvent(line, trouble)),
         3 => prop_oneof![4 => 0..30_u16, 1 => 0..300_u16].prop_map(Act::Stall),
-        3 => prop_oneof![2 => 0..30, 2 => -30..0, 1 => 0..10_000].prop_map(Act::Leap),
+        3 => prop_oneof![2 => 0..30, 2 => -30..0, 1 => 0..10_000].prop_map(Act::ClockJump),
         2 => (line(), any::<bool>()).prop_map(|(line, off)| Act::BusOff(line, off)),
         1 => (0..7_u8, any::<bool>()).prop_map(|(axis, on)| Act::Power(axis, on)),
         1 => (0..7_u8).prop_map(Act::Stuck),
@@ -168,7 +170,7 @@ fn trouble() -> BoxedStrategy<Act> {
 }
 
 /// Lives among frames of `mood`, of which so many in 400 things that happen are trouble.
-fn among(mood: Mood, troubles: u32, from_the_start: bool) -> BoxedStrategy<Life> {
+fn among(mood: Mood, troubles: u32, from_the_start: bool) -> BoxedStrategy<Scenario> {
     let line = 0..3_u8;
     let frame = (line, mood.frames()).prop_map(|(line, frame)| Act::Frame(line, frame));
     let act = match troubles {
@@ -183,7 +185,7 @@ fn among(mood: Mood, troubles: u32, from_the_start: bool) -> BoxedStrategy<Life>
     let place = prop_oneof![2 => Just(500), 2 => 0..=1000_u16, 1 => Just(0), 1 => Just(1000)];
     let pace = select(&[1, 1, 1, 2, 4][..]);
     (buses, place, pace, vec(burst, 0..=BURSTS_MAX))
-        .prop_map(move |(buses, place, pace, bursts)| Life {
+        .prop_map(move |(buses, place, pace, bursts)| Scenario {
             buses,
             from_the_start,
             place,
@@ -194,7 +196,7 @@ fn among(mood: Mood, troubles: u32, from_the_start: bool) -> BoxedStrategy<Life>
 }
 
 /// Lives of all kinds.
-pub(crate) fn life() -> impl Strategy<Value = Life> {
+pub(crate) fn life() -> impl Strategy<Value = Scenario> {
     prop_oneof![
         6 => among(Mood::Bystander, 0, false),
         4 => among(Mood::Bystander, 2, false),

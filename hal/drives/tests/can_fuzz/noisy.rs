@@ -9,10 +9,10 @@ use trocar_canopen::Frame;
 use trocar_canopen::cia301::cob::PdoNumber;
 use trocar_canopen::cia301::{Cob, NmtCommand, nmt};
 use trocar_canopen::cia402::{Command, ControlView};
-use trocar_canopen::master::{ArmPlan, Bus, Received, Trouble};
+use trocar_canopen::master::{ArmPlan, Bus, ControllerEvent, Received};
 use trocar_drives::{Network, Tampering};
 
-use crate::life::{Act, Burst, Life};
+use crate::life::{Act, Burst, Scenario};
 use crate::promises::{Ages, Leads, Stamped, answers, leads, stop_ns};
 use crate::seen::{Seen, Watched, note};
 
@@ -37,15 +37,15 @@ pub(crate) struct Noisy {
     watched: [Watched; 7],
     /// Since when the master knows of a fault.
     latched: Option<TimeNs>,
-    /// SYNCs that the master gave each bus, whether its clock leapt since the newest, and how old what it measured is.
+    /// SYNCs that the master gave each bus, whether its clock jumped since the newest, and how old what it measured is.
     syncs: [u64; 3],
-    leapt: bool,
+    clock_jumped: bool,
     ages: Ages,
     seen: Rc<RefCell<Seen>>,
 }
 
 impl Noisy {
-    pub(crate) fn new(mut net: Network<Stamped>, plan: &ArmPlan, life: &Life) -> Self {
+    pub(crate) fn new(mut net: Network<Stamped>, plan: &ArmPlan, life: &Scenario) -> Self {
         let spoil: Rc<Cell<Option<Tampering>>> = Rc::default();
         let spoilt = Rc::clone(&spoil);
         net.tamper(Box::new(move |_, _, _| {
@@ -68,7 +68,7 @@ impl Noisy {
             watched,
             latched: None,
             syncs: [0; 3],
-            leapt: false,
+            clock_jumped: false,
             ages: Ages::new(),
             seen: Rc::default(),
         }
@@ -99,13 +99,13 @@ impl Noisy {
         self.syncs
     }
 
-    /// Whether the master's clock has leapt since [`Self::forget_leap`].
-    pub(crate) const fn has_leapt(&self) -> bool {
-        self.leapt
+    /// Whether the master's clock has jumped since [`Self::clear_clock_jump`].
+    pub(crate) const fn has_clock_jumped(&self) -> bool {
+        self.clock_jumped
     }
 
-    pub(crate) fn forget_leap(&mut self) {
-        self.leapt = false;
+    pub(crate) fn clear_clock_jump(&mut self) {
+        self.clock_jumped = false;
     }
 
     /// How old what the master measures is, and the time of the buses.
@@ -160,7 +160,7 @@ impl Noisy {
                 let fits = self.net.intrude(line % self.plan.lines, frame);
                 self.seen.borrow_mut().thrown += u64::from(fits);
             }
-            Act::Trouble(line, trouble) => self.net.trouble(on(line), trouble),
+            Act::ControllerEvent(line, trouble) => self.net.trouble(on(line), trouble),
             Act::BusOff(line, off) => self.net.bus_off(on(line), off),
             Act::NoRoom(line, times) => self.no_room[place(line)] = times,
             Act::Lose(line, frames) => self.lose[place(line)] = frames,
@@ -183,8 +183,8 @@ impl Noisy {
                 self.net.motor(node).unwrap().ideal.stuck = true;
             }
             Act::Stall(ms) => self.stall_ms = ms,
-            Act::Leap(ms) => {
-                self.leapt = true;
+            Act::ClockJump(ms) => {
+                self.clock_jumped = true;
                 self.skew_ns += i64::from(ms) * i64::try_from(MS_NS).unwrap();
             }
         }
@@ -289,7 +289,7 @@ impl Bus for Noisy {
             sink(received);
         });
         if lost > 0 {
-            sink(Received::Trouble(Trouble::Lost(lost)));
+            sink(Received::ControllerEvent(ControllerEvent::Lost(lost)));
         }
     }
 

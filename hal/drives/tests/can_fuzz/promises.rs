@@ -144,8 +144,8 @@ fn stamp_of(per_mille: f64) -> u64 {
     per_mille.round() as u64
 }
 
-/// The SYNC before a look at the arm.
-pub(crate) struct Beat {
+/// When the period of the newest SYNC began, and what was counted until then.
+pub(crate) struct SyncPeriod {
     began: Option<TimeNs>,
     sync: Option<TimeNs>,
     left_out: u64,
@@ -155,13 +155,13 @@ pub(crate) struct Beat {
 
 /// Whether SYNCs come when they should.
 #[derive(Default)]
-pub(crate) struct Beats {
+pub(crate) struct SyncPeriods {
     in_a_row: u32,
     pub(crate) left_out: u64,
     pub(crate) syncs: u64,
 }
 
-impl Beat {
+impl SyncPeriod {
     pub(crate) fn of(arm: &mut CanArm<Noisy>) -> Self {
         let fault = arm.fault().is_some();
         let syncs = arm.bus_mut().syncs();
@@ -176,19 +176,19 @@ impl Beat {
     }
 }
 
-impl Beats {
+impl SyncPeriods {
     /// Of each period there is a SYNC on every bus that is not lost, or one that is counted as left out, and both when they
     /// are due. `measured` is what the arm told.
     pub(crate) fn check(
         &mut self,
         arm: &mut CanArm<Noisy>,
-        before: &Beat,
+        before: &SyncPeriod,
         now: TimeNs,
         told: Option<&ArmState>,
     ) -> Result<(), String> {
-        let after = Beat::of(arm);
+        let after = SyncPeriod::of(arm);
         let cycle_ns = arm.plan().cycle_ns;
-        let leapt = arm.bus_mut().has_leapt();
+        let clock_jumped = arm.bus_mut().has_clock_jumped();
         let turned = after.began != before.began;
         let left = after.left_out - before.left_out;
         let lines = arm.cycle().line_health().iter();
@@ -214,7 +214,7 @@ impl Beats {
             (true, false) => waited_ns + early_ns < cycle_ns,
             (true, true) => 2 * waited_ns > 7 * cycle_ns,
         };
-        if wrong && !leapt {
+        if wrong && !clock_jumped {
             return Err(format!(
                 "{waited_ns} ns after a SYNC: turned {turned}, left out {left}"
             ));
@@ -233,7 +233,7 @@ impl Beats {
         }
         if turned && left == 0 {
             self.syncs += 1;
-            arm.bus_mut().forget_leap();
+            arm.bus_mut().clear_clock_jump();
         }
         Ok(())
     }

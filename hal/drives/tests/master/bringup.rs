@@ -347,8 +347,8 @@ fn bring_up_accepts_a_controller_back_from_bus_off() {
         let mut net = released_after_bus_off();
         net.bus_off(0, false);
         if down {
-            net.trouble(0, Trouble::Down);
-            net.trouble(0, Trouble::Restarted);
+            net.trouble(0, ControllerEvent::Down);
+            net.trouble(0, ControllerEvent::Restarted);
         } else {
             net.bus_off(0, true);
         }

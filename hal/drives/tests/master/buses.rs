@@ -28,7 +28,7 @@ fn bus_off_on_one_of_three_buses_stops_the_axes_on_the_others() {
 
 #[test]
 fn a_second_bus_that_goes_off_or_down_is_not_sent_to_either() {
-    for trouble in [Trouble::BusOff, Trouble::Down] {
+    for trouble in [ControllerEvent::BusOff, ControllerEvent::Down] {
         let mut bench = Bench::on(&plan(3, MS));
         bench.cycles(50, 0.0004).unwrap();
         bench.net().bus_off(1, true);
@@ -50,7 +50,7 @@ fn a_second_bus_that_goes_off_or_down_is_not_sent_to_either() {
 #[test]
 fn restarted_controller_is_a_fault() {
     let mut bench = moving();
-    bench.net().trouble(0, Trouble::Restarted);
+    bench.net().trouble(0, ControllerEvent::Restarted);
     let _ = bench.cycle(0.0008);
     assert!(bench.arm.cycle().line_health()[0].off);
     bench.assert_stopped_for_good("bus 0: our controller is bus-off");
@@ -59,7 +59,7 @@ fn restarted_controller_is_a_fault() {
 #[test]
 fn an_interface_that_goes_down_is_a_fault() {
     let mut bench = moving();
-    bench.net().trouble(0, Trouble::Down);
+    bench.net().trouble(0, ControllerEvent::Down);
     let _ = bench.cycle(0.0);
     bench.assert_stopped_for_good("bus 0: the interface is down");
 }
@@ -67,15 +67,15 @@ fn an_interface_that_goes_down_is_a_fault() {
 #[test]
 fn error_passive_and_lost_frames_are_told_and_the_arm_goes_on() {
     let mut bench = moving();
-    bench.net().trouble(0, Trouble::ErrorPassive);
-    bench.net().trouble(0, Trouble::ErrorPassive);
-    bench.net().trouble(0, Trouble::Lost(3));
-    bench.net().trouble(0, Trouble::Foreign);
+    bench.net().trouble(0, ControllerEvent::ErrorPassive);
+    bench.net().trouble(0, ControllerEvent::ErrorPassive);
+    bench.net().trouble(0, ControllerEvent::Lost(3));
+    bench.net().trouble(0, ControllerEvent::Foreign);
     assert!(bench.cycle(0.0008).is_ok());
     let health = bench.arm.cycle().line_health()[0];
     assert!(health.passive);
     assert_eq!((health.lost, health.foreign), (3, 1));
-    bench.net().trouble(0, Trouble::ErrorActive);
+    bench.net().trouble(0, ControllerEvent::ErrorActive);
     assert!(bench.cycle(0.0008).is_ok());
     let health = bench.arm.cycle().line_health()[0];
     assert!(!health.passive);
@@ -88,9 +88,9 @@ fn error_passive_during_bring_up_is_reported() {
     for recovers in [false, true] {
         let plan = plan(3, MS);
         let mut net = network(&plan);
-        net.trouble(1, Trouble::ErrorPassive);
+        net.trouble(1, ControllerEvent::ErrorPassive);
         if recovers {
-            net.trouble(1, Trouble::ErrorActive);
+            net.trouble(1, ControllerEvent::ErrorActive);
         }
         let mut bench = Bench::with(net, &plan);
         assert!(bench.cycles(5, 0.0).is_ok());

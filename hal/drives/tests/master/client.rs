@@ -152,7 +152,7 @@ fn full_bus_is_waited_for_and_a_down_one_is_an_error() {
     assert_eq!(ask(&mut bus), Err(BringUpError::CannotSend { line: 0 }));
     assert!(bus.now() >= TimeNs(500 * MS));
     let before = bus.now();
-    bus.0.trouble(0, Trouble::Down);
+    bus.0.trouble(0, ControllerEvent::Down);
     assert_eq!(ask(&mut bus), Err(BringUpError::Off { line: 0 }));
     assert_eq!(bus.now(), before);
 }

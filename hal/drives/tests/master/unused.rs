@@ -13,7 +13,7 @@ use trocar_canopen::master::client::{read_number, write};
 const INVALID: u32 = 1 << 31;
 
 type Objects = Rc<RefCell<BTreeMap<(u16, u8), u32>>>;
-type Asked = Rc<RefCell<BTreeSet<(u16, u8)>>>;
+type SdoReads = Rc<RefCell<BTreeSet<(u16, u8)>>>;
 
 /// What becomes of a COB-ID that is written, from what it was; none if it may not change so.
 type Rule = fn(u32, u32) -> Option<u32>;
@@ -25,7 +25,7 @@ const STANDARD: Rule =
 /// Gives node 3 COB-IDs that our drives do not have, which keep `rule`; notes what it is asked for.
 fn more(
     objects: &Objects,
-    asked: &Asked,
+    asked: &SdoReads,
     rule: Rule,
 ) -> impl FnMut(u8, TimeNs, &Frame) -> Tampering + 'static {
     let (objects, asked) = (Rc::clone(objects), Rc::clone(asked));
@@ -65,7 +65,7 @@ fn more(
 fn mapped(
     plan: &ArmPlan,
     stored: &[((u16, u8), u32)],
-    asked: &Asked,
+    asked: &SdoReads,
     rule: Rule,
 ) -> Result<BTreeMap<(u16, u8), u32>, String> {
     let objects: Objects = Rc::default();
@@ -83,7 +83,7 @@ fn mapped(
 fn pdo_that_stays_valid_is_refused() {
     let plan = plan(1, 2 * MS);
     let place = (0x1404, 1);
-    let of = |rule| mapped(&plan, &[(place, 0x345)], &Asked::default(), rule);
+    let of = |rule| mapped(&plan, &[(place, 0x345)], &SdoReads::default(), rule);
     // Nothing is left but that it is off.
     let after = of(|_, new| Some(if new & INVALID == 0 { new } else { INVALID }));
     assert_eq!(after.unwrap()[&place], INVALID);
@@ -97,7 +97,7 @@ fn pdo_in_use_keeps_its_identifier() {
     const NO_RTR: u32 = 1 << 30;
     let plan = plan(1, 2 * MS);
     for (place, id) in [((0x1400, 1), 0x203), ((0x1800, 1), 0x183)] {
-        let of = |rule| mapped(&plan, &[(place, id)], &Asked::default(), rule);
+        let of = |rule| mapped(&plan, &[(place, id)], &SdoReads::default(), rule);
         // It knows no remote frames, or nothing but.
         let without = of(|_, new| Some(new | NO_RTR)).unwrap();
         assert_eq!(without[&place], id | NO_RTR);
@@ -137,7 +137,7 @@ fn sync_producer_is_stopped_before_its_id_changes() {
             ..plan(1, 2 * MS)
         };
         let place = (0x1005, 0);
-        let after = mapped(&plan, &[(place, stored)], &Asked::default(), rule);
+        let after = mapped(&plan, &[(place, stored)], &SdoReads::default(), rule);
         assert_eq!(after.unwrap()[&place], u32::from(sync_id), "{stored:x}");
     }
 }
@@ -190,7 +190,7 @@ fn further_pdos_and_time_stamps_are_disabled() {
         // Hears time stamps, and sends them.
         ((0x1012, 0), 0xC000_0100, 0x100),
     ];
-    let asked: Asked = Rc::default();
+    let asked: SdoReads = Rc::default();
     let stored = cases.map(|(place, stored, _)| (place, stored));
     let after = mapped(&plan(1, 2 * MS), &stored, &asked, STANDARD).unwrap();
     for (place, _, wanted) in cases {

@@ -283,7 +283,9 @@ fn lost_frames_end_the_bring_up() {
         (homed + 3, 0, "before the first SYNC"),
     ];
     for (at, line, step) in cases {
-        let course = course(3, at, move |net| net.trouble(line, Trouble::Lost(5)));
+        let course = course(3, at, move |net| {
+            net.trouble(line, ControllerEvent::Lost(5))
+        });
         let told = format!("bus {line}: 5 frames were lost before they were read, {step}");
         assert_eq!(course.end, Err(told), "{at}");
         assert!(!course.torques && course.stopped);
@@ -291,7 +293,7 @@ fn lost_frames_end_the_bring_up() {
     // Before our first word they are none of ours.
     let plan = plan(3, 2 * MS);
     let mut net = network(&plan);
-    net.trouble(1, Trouble::Lost(5));
+    net.trouble(1, ControllerEvent::Lost(5));
     assert!(Offline::new(net, &plan).unwrap().scan().is_ok());
 }
 

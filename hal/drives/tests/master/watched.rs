@@ -287,11 +287,11 @@ fn trouble_before_the_first_sync_is_a_fault() {
             "bus 1: our controller is bus-off",
         ),
         (
-            |net| net.trouble(0, Trouble::Down),
+            |net| net.trouble(0, ControllerEvent::Down),
             "bus 0: the interface is down",
         ),
         (
-            |net| net.trouble(2, Trouble::Restarted),
+            |net| net.trouble(2, ControllerEvent::Restarted),
             "bus 2: our controller is bus-off",
         ),
         (
@@ -326,13 +326,17 @@ fn trouble_before_the_first_sync_is_a_fault() {
     }
 }
 
-/// Trouble on a bus that is not listened to ends the bring up before the nodes start.
+/// A controller event on a bus that is not listened to ends the bring up before the nodes start.
 #[test]
 fn trouble_on_any_bus_ends_the_bring_up() {
     let undisturbed = course(3, NEVER, |_| {});
     let homed = undisturbed.sent[3];
     // The last axis is homed on bus 2; nothing is asked on bus 0 any more.
-    for trouble in [Trouble::BusOff, Trouble::Restarted, Trouble::Down] {
+    for trouble in [
+        ControllerEvent::BusOff,
+        ControllerEvent::Restarted,
+        ControllerEvent::Down,
+    ] {
         let asked = course(3, homed + QUESTIONS - 2, move |net| net.trouble(0, trouble));
         assert_eq!(asked.end, Err("bus 0: bus-off or down".to_owned()));
         assert!(asked.sent[3] == homed && !asked.torques);
@@ -341,7 +345,7 @@ fn trouble_on_any_bus_ends_the_bring_up() {
         assert!(course.sent[3] == 0 && !course.torques, "{trouble:?}");
     }
     // Even that it is back, once bring-up has begun.
-    let course = course(3, 0, |net| net.trouble(0, Trouble::Restarted));
+    let course = course(3, 0, |net| net.trouble(0, ControllerEvent::Restarted));
     assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
 }
 

@@ -46,10 +46,10 @@ fn led(bench: &mut Bench, cycles: u32) {
 }
 
 /// Who was told to stop by NMT, bus and node. No other NMT command is heard.
-type Told = Rc<RefCell<BTreeSet<(u8, u8)>>>;
+type NmtStops = Rc<RefCell<BTreeSet<(u8, u8)>>>;
 
-fn note_stops(net: &mut Net) -> Told {
-    let told: Told = Rc::default();
+fn note_stops(net: &mut Net) -> NmtStops {
+    let told: NmtStops = Rc::default();
     let noted = Rc::clone(&told);
     net.tamper(Box::new(move |line, _, frame| {
         if frame.id.raw() == 0 {
@@ -134,7 +134,7 @@ fn node_leaving_operational_is_named_and_stopped() {
 #[test]
 fn a_node_of_which_nothing_is_heard_any_more_is_told_to_stop() {
     let mut bench = by_the_letter();
-    let told: Told = Rc::default();
+    let told: NmtStops = Rc::default();
     let noted = Rc::clone(&told);
     // Nor why: its heartbeats do not come through.
     bench.tamper(move |frame| match (frame.id.raw(), frame.data()) {
@@ -160,7 +160,7 @@ fn a_node_of_which_nothing_is_heard_any_more_is_told_to_stop() {
     bench.assert_stopped_for_good(text);
 }
 
-/// Where no NMT command is heard our heartbeat falls silent and stops the drives.
+/// Where no NMT command is heard our heartbeat ends, and its time-out stops the drives.
 #[test]
 fn ended_heartbeat_stops_drives_deaf_to_nmt() {
     let mut bench = by_the_letter();
@@ -249,7 +249,7 @@ fn second_master_after_a_fault_gets_no_drive() {
 #[test]
 fn second_master_on_another_bus_leaves_a_lost_bus_alone() {
     let mut bench = Bench::on(&plan(3, MS));
-    bench.net().trouble(1, Trouble::Down);
+    bench.net().trouble(1, ControllerEvent::Down);
     let told = note_stops(bench.net());
     let _ = bench.cycles(5, 0.0);
     assert!(told.borrow().is_empty());

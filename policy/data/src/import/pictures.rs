@@ -22,7 +22,7 @@ pub(super) struct Form {
 }
 
 /// One camera's frames.
-pub(super) struct Pictures<'a> {
+pub(super) struct CameraFrames<'a> {
     recording: &'a Recording,
     name: &'a str,
     dataset: Dataset,
@@ -37,7 +37,7 @@ pub(super) struct Pictures<'a> {
     decoded: Vec<u8>,
 }
 
-impl<'a> Pictures<'a> {
+impl<'a> CameraFrames<'a> {
     /// The frames in the dataset `name`, of which there must be `steps`.
     pub(super) fn open(
         recording: &'a Recording,

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::arms::{Arms, robot_type};
 use super::file::Recording;
 use super::names::Names;
-use super::pictures::{Form, Pictures};
+use super::pictures::{CameraFrames, Form};
 use super::source::{EpisodeAt, cameras, episodes};
 use super::{ImportError, ImportOptions, Layout};
 use crate::dataset::{CameraSpec, DatasetSpec, DatasetWriter, FrameRecord};
@@ -120,7 +120,7 @@ fn camera_specs(
 ) -> Result<Vec<CameraSpec>, ImportError> {
     let mut found = Vec::new();
     for (name, path) in cameras(recording, options)? {
-        let mut pictures = Pictures::open(recording, &path, steps, options.form())?;
+        let mut pictures = CameraFrames::open(recording, &path, steps, options.form())?;
         let (width, height) = pictures.size()?;
         found.push(CameraSpec {
             name,
@@ -143,7 +143,7 @@ fn copy(
     let paths = cameras(recording, options)?;
     let mut pictures = Vec::new();
     for (_, path) in &paths {
-        let opened = Pictures::open(recording, path, arms.steps, options.form())?;
+        let opened = CameraFrames::open(recording, path, arms.steps, options.form())?;
         pictures.push(opened);
     }
     for (step, arms) in arms.by_step().enumerate() {

@@ -21,10 +21,10 @@ use tch::{TchError, Tensor};
 pub(crate) use config::STAGES;
 pub use config::{ActConfig, ActPreset, BackboneNorm, DecoderOutput, LossDenominator, STATE_DIM};
 pub use folded::FoldedAct;
-pub(crate) use folded::{FoldedTrunk, Situated};
+pub(crate) use folded::{FoldedEncoderInput, FoldedTrunk};
 pub use loss::{ActionError, Losses, action_loss, l1_loss, losses};
-pub use resnet::by_hand::KeptPass;
-pub(crate) use trunk::{Seen, Trunk};
+pub use resnet::by_hand::SavedActivations;
+pub(crate) use trunk::{EncoderInput, Trunk};
 pub use vae::LatentDistribution;
 pub(crate) use {loss::kl_divergence, vae::VAE_PREFIX};
 
@@ -170,7 +170,7 @@ impl Act {
         &self,
         kernels: &Kernels,
         images: &Tensor,
-    ) -> Result<(Tensor, KeptPass), TchError> {
+    ) -> Result<(Tensor, SavedActivations), TchError> {
         tch::no_grad(|| {
             let images = images
                 .f_to_kind(self.image_weight.kind())?
@@ -187,7 +187,7 @@ impl Act {
         &self,
         kernels: &Kernels,
         gradient: &Tensor,
-        kept: &KeptPass,
+        kept: &SavedActivations,
     ) -> Result<Vec<(Tensor, Tensor)>, TchError> {
         tch::no_grad(|| self.backbone.backward_by_hand(kernels, gradient, kept))
     }
@@ -206,8 +206,8 @@ impl Act {
         self.trunk.train(&self.seen(&tokens), state, demonstration)
     }
 
-    const fn seen<'a>(&'a self, tokens: &'a Tensor) -> Seen<'a> {
-        Seen {
+    const fn seen<'a>(&'a self, tokens: &'a Tensor) -> EncoderInput<'a> {
+        EncoderInput {
             tokens,
             position: &self.image_position,
         }

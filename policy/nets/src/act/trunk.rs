@@ -24,8 +24,8 @@ pub(crate) struct Trunk {
     dropout: f64,
 }
 
-/// What the network sees, as tokens.
-pub(crate) struct Seen<'a> {
+/// The encoder's input tokens.
+pub(crate) struct EncoderInput<'a> {
     /// `(batch, tokens, width)`.
     pub(crate) tokens: &'a Tensor,
     /// `(batch or 1, tokens, width)`.
@@ -75,7 +75,11 @@ impl Trunk {
     }
 
     /// The chunk for latent zero, no dropout.
-    pub(crate) fn infer(&self, seen: &Seen<'_>, state: &Tensor) -> Result<Tensor, TchError> {
+    pub(crate) fn infer(
+        &self,
+        seen: &EncoderInput<'_>,
+        state: &Tensor,
+    ) -> Result<Tensor, TchError> {
         let shape = [state.size()[0], self.latent_dim];
         let latent = Tensor::f_zeros(shape, (seen.tokens.kind(), state.device()))?;
         self.decode(seen, state, &latent, 0.0)
@@ -84,7 +88,7 @@ impl Trunk {
     /// The chunk for the latent that the demonstration and its noise pick; zero without a variational encoder.
     pub(crate) fn train(
         &self,
-        seen: &Seen<'_>,
+        seen: &EncoderInput<'_>,
         state: &Tensor,
         demonstration: &Demonstration<'_>,
     ) -> Result<(Tensor, Option<LatentDistribution>), TchError> {
@@ -105,7 +109,7 @@ impl Trunk {
     }
 
     /// Position embeddings of latent, state and what is seen: `(views, tokens, width)`.
-    fn positions(&self, seen: &Seen<'_>) -> Result<Tensor, TchError> {
+    fn positions(&self, seen: &EncoderInput<'_>) -> Result<Tensor, TchError> {
         let views = seen.position.size()[0];
         let leading = self
             .token_position
@@ -116,7 +120,7 @@ impl Trunk {
 
     fn decode(
         &self,
-        seen: &Seen<'_>,
+        seen: &EncoderInput<'_>,
         state: &Tensor,
         latent: &Tensor,
         dropout: f64,

@@ -8,7 +8,7 @@ use tch::{Kind, TchError, Tensor};
 use super::ActPc;
 use super::clouds::Clouds;
 use super::tokens::{PointTokens, pick, space_position};
-use crate::act::{FoldedTrunk, Situated};
+use crate::act::{FoldedEncoderInput, FoldedTrunk};
 use crate::layers::affine::{Affine, Backend};
 
 /// An ACT-PC network for inference.
@@ -91,7 +91,7 @@ impl FoldedActPc {
             let features = self.features(points.shallow_clone())?;
             self.group(&points, &features, &centres, clouds)?
         };
-        let seen = Situated {
+        let seen = FoldedEncoderInput {
             tokens: &tokens.f_unflatten(0, [batch, -1])?,
             position: Some(&position),
         };

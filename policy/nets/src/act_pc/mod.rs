@@ -20,7 +20,9 @@ pub use clouds::{Clouds, CloudsError};
 pub use config::{ActPcConfig, ActPcPreset};
 pub use folded::FoldedActPc;
 
-use crate::act::{Demonstration, LatentDistribution, Seen, Trunk, action_loss, kl_divergence};
+use crate::act::{
+    Demonstration, EncoderInput, LatentDistribution, Trunk, action_loss, kl_divergence,
+};
 use crate::parameters::{ParameterError, ParameterSource, Parameters};
 use tokens::PointTokens;
 
@@ -95,7 +97,7 @@ impl ActPc {
     pub fn infer(&self, clouds: &Clouds, state: &Tensor) -> Result<Tensor, TchError> {
         let (tokens, position) = self.point_tokens(clouds, false)?;
         let (tokens, position) = (&tokens, &position);
-        self.trunk.infer(&Seen { tokens, position }, state)
+        self.trunk.infer(&EncoderInput { tokens, position }, state)
     }
 
     /// The chunk that training compares with the demonstration, and the latent's distribution.
@@ -113,7 +115,7 @@ impl ActPc {
         let (tokens, position) = self.point_tokens(clouds, true)?;
         let (tokens, position) = (&tokens, &position);
         self.trunk
-            .train(&Seen { tokens, position }, state, demonstration)
+            .train(&EncoderInput { tokens, position }, state, demonstration)
     }
 
     /// The loss of `predicted` against `actions`, both `(batch, steps, action)`; `is_pad` is `(batch, steps)`.

@@ -7,8 +7,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use hal::{
-    ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy, PolicyError, Pose,
-    SeenArm, TimeNs,
+    ArmObservation, ArmState, CameraFrame, Intrinsics, JointVector, Observation, Policy,
+    PolicyError, Pose, TimeNs,
 };
 use tch::Device;
 
@@ -59,8 +59,8 @@ pub(super) fn statistics() -> FeatureStatistics {
 }
 
 /// An arm at rest at `jaw`, 10 cm down.
-pub(super) fn arm(jaw: f64) -> SeenArm {
-    SeenArm {
+pub(super) fn arm(jaw: f64) -> ArmObservation {
+    ArmObservation {
         state: ArmState::at_rest(TimeNs(7), JointVector::zeros(), jaw),
         tip_in_rcm: Pose::translation(0.0, 0.0, -0.1),
     }

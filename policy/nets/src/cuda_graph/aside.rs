@@ -17,14 +17,14 @@ const CAPTURING: c_int = 1;
 
 /// A stream of libtorch's pool as this thread's current one, until it is dropped: the default stream can't be captured.
 #[derive(Debug)]
-pub(super) struct Aside {
+pub(super) struct SideStream {
     pub(super) functions: Functions,
     pub(super) device: i32,
     before: Stream,
     stream: Stream,
 }
 
-impl Aside {
+impl SideStream {
     /// None if the libraries here have no CUDA, or `device` is not the thread's current one.
     pub(super) fn of(device: i32) -> Result<Option<Self>, TchError> {
         let found = Functions::found().filter(|found| found.is_current(device));
@@ -72,7 +72,7 @@ impl Aside {
     }
 }
 
-impl Drop for Aside {
+impl Drop for SideStream {
     fn drop(&mut self) {
         // Streams do not wait for each other; if the device fails there is nothing to wait for.
         {

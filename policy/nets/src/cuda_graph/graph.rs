@@ -13,7 +13,7 @@ use std::ptr::NonNull;
 
 use tch::{Device, Kind, TchError, Tensor};
 
-use super::aside::Aside;
+use super::aside::SideStream;
 use super::functions::{Functions, checked, one_at_a_time};
 
 /// `cudaStreamCaptureModeThreadLocal`: what other threads do meanwhile does not enter the capture.
@@ -50,7 +50,7 @@ impl Graph {
         device: i32,
         mut work: impl FnMut() -> Result<T, TchError>,
     ) -> Result<Option<(Self, T)>, TchError> {
-        let Some(aside) = Aside::of(device)? else {
+        let Some(aside) = SideStream::of(device)? else {
             return Ok(None);
         };
         for _ in 0..2 {
@@ -64,7 +64,7 @@ impl Graph {
     ///
     /// Whatever the libraries set up at first must be done, on `aside`.
     pub(super) fn captured_on<T>(
-        aside: &Aside,
+        aside: &SideStream,
         work: impl FnOnce() -> Result<T, TchError>,
     ) -> Result<(Self, T), TchError> {
         let functions = aside.functions;
@@ -100,7 +100,7 @@ impl Graph {
     }
 
     /// Has the generator of random numbers, which takes its draws for captured, see the end of a capture.
-    fn let_draw(aside: &Aside) {
+    fn let_draw(aside: &SideStream) {
         let functions = aside.functions;
         let mut object = [0_u64; OBJECT_WORDS];
         // SAFETY: the memory is more than the object needs, and aligned to words.

@@ -34,9 +34,9 @@ pub(crate) enum Affine<'a> {
     Fixed(&'a Tensor, &'a Tensor),
 }
 
-/// What the way back needs of the way forward.
+/// What the backward pass needs of the forward pass.
 #[derive(Debug)]
-pub(crate) struct Kept {
+pub(crate) struct SavedForBackward {
     /// What the convolution gave.
     convolved: Tensor,
     maps: Tensor,
@@ -175,7 +175,7 @@ impl Kernels {
         affine: &Affine<'_>,
         identity: Option<&Tensor>,
         rectified: bool,
-    ) -> Result<(Tensor, Kept), TchError> {
+    ) -> Result<(Tensor, SavedForBackward), TchError> {
         let shape = Shape::of(&convolved)?;
         if let Some(identity) = identity {
             alike(identity, &convolved)?;
@@ -201,7 +201,7 @@ impl Kernels {
         &self,
         convolved: Tensor,
         affine: &Affine<'_>,
-    ) -> Result<(Tensor, Tensor, Kept), TchError> {
+    ) -> Result<(Tensor, Tensor, SavedForBackward), TchError> {
         let shape = Shape::of(&convolved)?;
         let kept = self.kept(convolved, shape, affine)?;
         let answer = shape.pooled().empty(Kind::BFloat16, self.device)?;
@@ -220,12 +220,12 @@ impl Kernels {
         Ok((answer, which, kept))
     }
 
-    /// The way back of [`Self::forward`]: the gradients of what the convolution gave, of scale and bias, and, if there was an
+    /// The backward pass of [`Self::forward`]: the gradients of what the convolution gave, of scale and bias, and, if there was an
     /// identity, of that. `answer` is needed if so.
     pub(crate) fn backward(
         &self,
         gradient: &Tensor,
-        kept: &Kept,
+        kept: &SavedForBackward,
         affine: &Affine<'_>,
         answer: Option<&Tensor>,
         rectified: bool,
@@ -279,11 +279,11 @@ impl Kernels {
         Ok((of_convolved, of_affine, of_identity))
     }
 
-    /// The way back of [`Self::pooled`].
+    /// The backward pass of [`Self::pooled`].
     pub(crate) fn pooled_backward(
         &self,
         gradient: &Tensor,
-        (answer, which, kept): &(Tensor, Tensor, Kept),
+        (answer, which, kept): &(Tensor, Tensor, SavedForBackward),
         affine: &Affine<'_>,
     ) -> Result<(Tensor, OfAffine), TchError> {
         let shape = Shape::of(&kept.convolved)?;
@@ -326,7 +326,12 @@ impl Kernels {
     }
 
     /// The affine maps of `convolved`.
-    fn kept(&self, convolved: Tensor, shape: Shape, affine: &Affine<'_>) -> Result<Kept, TchError> {
+    fn kept(
+        &self,
+        convolved: Tensor,
+        shape: Shape,
+        affine: &Affine<'_>,
+    ) -> Result<SavedForBackward, TchError> {
         let float = (Kind::Float, self.device);
         let (scale, bias) = match affine {
             Affine::Group(scale, bias) => (scale, bias),
@@ -336,7 +341,7 @@ impl Kernels {
                 if maps.size() != [2, shape.channels] || maps.device() != self.device {
                     return Err(TchError::Shape(format!("a scale and a shift {maps:?}")));
                 }
-                return Ok(Kept {
+                return Ok(SavedForBackward {
                     convolved,
                     maps,
                     statistics: None,
@@ -362,20 +367,20 @@ impl Kernels {
             number(shape.shares()),
         ];
         self.launch(self.group_maps, [shape.images, 1], arguments)?;
-        Ok(Kept {
+        Ok(SavedForBackward {
             convolved,
             maps,
             statistics: Some(statistics),
         })
     }
 
-    /// Of group normalisation: the maps of the way back, and the gradients of scale and bias, from the sums in `part`, which were
+    /// Of group normalisation: the maps of the backward pass, and the gradients of scale and bias, from the sums in `part`, which were
     /// taken over images of the shape `summed`.
     fn backward_maps(
         &self,
         shape: Shape,
         summed: Shape,
-        kept: &Kept,
+        kept: &SavedForBackward,
         affine: &Affine<'_>,
         part: &Tensor,
     ) -> Result<(Option<Tensor>, OfAffine), TchError> {

@@ -4,7 +4,7 @@ use tch::{Device, Kind, TchError, Tensor};
 
 use super::Linear;
 use super::aligned::Aligned;
-use super::matrix::{After, Matrix};
+use super::matrix::{Epilogue, Matrix};
 use super::vectors::Processor;
 
 /// What computes matrix products.
@@ -95,7 +95,7 @@ impl Affine {
     fn apply(&self, x: &Tensor, rectified: bool) -> Result<Tensor, TchError> {
         match self {
             Self::Native { matrix, bias } => {
-                matrix.apply(&x.f_contiguous()?, After { bias, rectified })
+                matrix.apply(&x.f_contiguous()?, Epilogue { bias, rectified })
             }
             Self::Torch { weight, bias } => {
                 let mut sum = bias_of(bias, x)?.f_addmm(x, weight)?;

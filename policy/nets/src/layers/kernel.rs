@@ -3,7 +3,7 @@
 use pulp::Simd;
 use tch::{TchError, Tensor};
 
-use super::vectors::{Vectors, Work};
+use super::vectors::{SimdKernel, Vectors};
 use crate::dimension::dimension;
 
 /// Outputs of a panel of packed weights.
@@ -16,16 +16,16 @@ pub(super) type Sums<S, const ROWS: usize, const VECTORS: usize> =
 /// Rows that are done at once at most.
 pub(super) const GROUP: usize = 8;
 
-/// Work whose sums the processor's registers should hold.
+/// A kernel whose accumulators the processor's registers should hold.
 pub(super) trait Summing {
     /// All of it, `ROWS` rows by `VECTORS` vectors of sums at once.
     fn run<V: Vectors, const ROWS: usize, const VECTORS: usize>(self, simd: V);
 }
 
-/// Work in whichever registers the processor has.
+/// A kernel in whichever registers the processor has.
 pub(super) struct InRegisters<W>(pub(super) W);
 
-impl<W: Summing> Work for InRegisters<W> {
+impl<W: Summing> SimdKernel for InRegisters<W> {
     #[inline(always)]
     fn run<V: Vectors>(self, simd: V) {
         match V::F32_LANES {

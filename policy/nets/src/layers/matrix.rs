@@ -33,7 +33,7 @@ pub(crate) struct Matrix {
 
 /// The epilogue: the bias of each output, and whether ReLU follows.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct After<'a> {
+pub(crate) struct Epilogue<'a> {
     /// `(outputs)`, or `(rows, outputs)` of as many rows as often as they go into all.
     pub(crate) bias: &'a [f32],
     pub(crate) rectified: bool,
@@ -70,7 +70,7 @@ impl Matrix {
     }
 
     /// `x` `(rows, inputs)`, contiguous, by the matrix, with the epilogue: `(rows, outputs)`.
-    pub(crate) fn apply(&self, x: &Tensor, after: After<'_>) -> Result<Tensor, TchError> {
+    pub(crate) fn apply(&self, x: &Tensor, after: Epilogue<'_>) -> Result<Tensor, TchError> {
         let shape = x.size();
         let rows = match shape.as_slice() {
             &[rows, inputs] if length(inputs) == self.inputs => length(rows),
@@ -87,7 +87,7 @@ impl Matrix {
         }
         let x = memory::numbers(x)?;
         memory::filled([rows, self.outputs], |out| {
-            self.processor.run(InRegisters(Product {
+            self.processor.run(InRegisters(Gemm {
                 matrix: self,
                 x,
                 after,
@@ -98,14 +98,14 @@ impl Matrix {
 }
 
 /// One product.
-struct Product<'a> {
+struct Gemm<'a> {
     matrix: &'a Matrix,
     x: &'a [f32],
-    after: After<'a>,
+    after: Epilogue<'a>,
     out: &'a mut [f32],
 }
 
-impl Summing for Product<'_> {
+impl Summing for Gemm<'_> {
     #[inline(always)]
     fn run<V: Vectors, const ROWS: usize, const VECTORS: usize>(mut self, simd: V) {
         let &Matrix {
@@ -157,7 +157,7 @@ struct Place {
     panel: usize,
 }
 
-impl Product<'_> {
+impl Gemm<'_> {
     /// Some rows by the `weight` of a panel.
     #[inline(always)]
     fn group<V: Vectors, const ROWS: usize, const VECTORS: usize>(
@@ -212,7 +212,7 @@ impl Product<'_> {
     #[inline(always)]
     fn finish<V: Vectors>(&mut self, simd: V, row: usize, column: usize) {
         let outputs = self.matrix.outputs;
-        let After { bias, rectified } = self.after;
+        let Epilogue { bias, rectified } = self.after;
         let bias = &bias[row * outputs % bias.len() + column..][..PANEL];
         let (bias, _) = V::as_simd_f32s(bias);
         let (out, _) = V::as_mut_simd_f32s(&mut self.out[row * outputs + column..][..PANEL]);

@@ -19,8 +19,8 @@ use tch::{TchError, Tensor};
 use super::vectors::Processor;
 use crate::dimension::{dimension, length};
 pub(crate) use columns::{Columns, Windows};
-use kernel::{Product, To};
-use weights::{Brain, Half, Single, Stored, Weights};
+use kernel::{Gemm, To};
+use weights::{Bf16, F16, F32, Stored, Weights};
 
 /// Outputs of a panel.
 const PANEL: usize = 16;
@@ -103,11 +103,9 @@ impl Narrow {
         }
         let out = &mut out[place.first..];
         match &self.weights {
-            Weights::Half(panels) => self.shared::<Half>(panels, columns, out, (place, threads)),
-            Weights::Brain(panels) => self.shared::<Brain>(panels, columns, out, (place, threads)),
-            Weights::Single(panels) => {
-                self.shared::<Single>(panels, columns, out, (place, threads))
-            }
+            Weights::F16(panels) => self.shared::<F16>(panels, columns, out, (place, threads)),
+            Weights::Bf16(panels) => self.shared::<Bf16>(panels, columns, out, (place, threads)),
+            Weights::F32(panels) => self.shared::<F32>(panels, columns, out, (place, threads)),
         }
     }
 
@@ -135,7 +133,7 @@ impl Narrow {
                     own = Some((panels, to));
                 } else {
                     let work = move || {
-                        self.processor.run(Product {
+                        self.processor.run(Gemm {
                             panels,
                             columns,
                             to,
@@ -145,7 +143,7 @@ impl Narrow {
                 }
             }
             if let Some((panels, to)) = own {
-                self.processor.run(Product {
+                self.processor.run(Gemm {
                     panels,
                     columns,
                     to,

@@ -33,7 +33,7 @@ pub(crate) struct Plane {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Size {
-    pictures: usize,
+    batch: usize,
     height: usize,
     width: usize,
     channels: usize,
@@ -41,7 +41,7 @@ struct Size {
 
 impl Size {
     const fn numbers(self) -> usize {
-        self.pictures * self.height * self.width * self.channels
+        self.batch * self.height * self.width * self.channels
     }
 }
 
@@ -56,7 +56,7 @@ pub(crate) struct Workspace {
 
 /// The epilogue of a convolution: bias, residual input, ReLU.
 #[derive(Clone, Copy)]
-struct Ending<'a> {
+struct Epilogue<'a> {
     /// Of each channel.
     bias: &'a [f32],
     /// The residual input, added to the output.
@@ -74,7 +74,7 @@ impl Plane {
         Err(TchError::Shape(text))
     }
 
-    /// As `(pixels of all pictures, channels)`, row by row.
+    /// As `(pixels of all images, channels)`, row by row.
     pub(crate) fn rows(&self) -> Result<Tensor, TchError> {
         let channels = dimension(self.size.channels);
         Tensor::f_from_slice(&self.values[..self.size.numbers()])?.f_view([-1, channels])
@@ -105,7 +105,7 @@ impl Workspace {
     }
 }
 
-impl<'a> Ending<'a> {
+impl<'a> Epilogue<'a> {
     /// Refuses a residual input of another size than `size`.
     fn new(
         bias: &'a [f32],

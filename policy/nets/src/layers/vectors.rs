@@ -36,8 +36,8 @@ pub(super) trait Vectors: Simd {
     }
 }
 
-/// Something that is done with a processor's vectors.
-pub(super) trait Work {
+/// A kernel over a processor's SIMD vectors.
+pub(super) trait SimdKernel {
     fn run<V: Vectors>(self, simd: V);
 }
 
@@ -46,7 +46,7 @@ mod x86 {
     use pulp::x86::{V3, V4};
     use pulp::{Simd, cast};
 
-    use super::{Vectors, Work};
+    use super::{SimdKernel, Vectors};
 
     /// A processor whose vector instructions are known here.
     #[derive(Clone, Copy, Debug)]
@@ -81,7 +81,7 @@ mod x86 {
         }
 
         /// Does `work` with the vectors of this one.
-        pub(in crate::layers) fn run<W: Work>(self, work: W) {
+        pub(in crate::layers) fn run<W: SimdKernel>(self, work: W) {
             match self {
                 Self::V4(simd) => simd.vectorize(
                     #[inline(always)]
@@ -171,7 +171,7 @@ pub(crate) use x86::Processor;
 /// Processors of other kinds use the network library.
 #[cfg(not(target_arch = "x86_64"))]
 mod other {
-    use super::Work;
+    use super::SimdKernel;
 
     #[derive(Clone, Copy, Debug)]
     pub(crate) enum Processor {}
@@ -190,7 +190,7 @@ mod other {
             match self {}
         }
 
-        pub(in crate::layers) fn run<W: Work>(self, _: W) {
+        pub(in crate::layers) fn run<W: SimdKernel>(self, _: W) {
             match self {}
         }
     }

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use tch::Device;
 use trocar_data::dataset::Dataset;
 use trocar_nets::dp3::{Dp3, Dp3Config, Dp3Preset};
-use trocar_train::{Progress, RunState, TrainError, TrainOptions, Trained, Trainer, Watch};
+use trocar_train::{
+    Progress, RunState, TrainError, TrainOptions, Trained, Trainer, TrainingObserver,
+};
 
 use crate::cloud::cloud;
 use crate::common::{Folder, seeds, told, within_memory};
@@ -21,7 +23,7 @@ struct Stopper {
     file: PathBuf,
 }
 
-impl Watch for Stopper {
+impl TrainingObserver for Stopper {
     fn progress(&mut self, _progress: &Progress) {}
 
     fn wants_stop(&mut self) -> bool {
@@ -37,7 +39,7 @@ impl Watch for Stopper {
 fn run(
     dataset: &Dataset,
     state: Option<RunState>,
-    watch: &mut dyn Watch,
+    watch: &mut dyn TrainingObserver,
 ) -> Result<Trained<Dp3>, TrainError> {
     let config = Dp3Config {
         horizon: 8,

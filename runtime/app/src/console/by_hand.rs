@@ -3,24 +3,28 @@
 use super::request::Request;
 use super::seats::Seat;
 use super::shared::Shared;
-use crate::session::teleop::{BadHands, Lost};
+use crate::session::teleop::{HandsMessageError, ReleaseCause};
 
 /// Does what `request` of the page in `seat` asks for; whatever is not of hands is left alone.
 ///
 /// # Errors
-/// [`BadHands`]; the arms hold.
-pub(super) fn heard(shared: &Shared, seat: &Seat, request: Request) -> Result<(), BadHands> {
+/// [`HandsMessageError`]; the arms hold.
+pub(super) fn heard(
+    shared: &Shared,
+    seat: &Seat,
+    request: Request,
+) -> Result<(), HandsMessageError> {
     let hands = &shared.hands;
     // To let go is always allowed.
     if request == Request::HandsOff(true) {
-        hands.release(seat.id(), Lost::Hidden);
+        hands.release(seat.id(), ReleaseCause::Hidden);
         return Ok(());
     }
     if !seat.steers() {
-        return Err(BadHands::NoSeat);
+        return Err(HandsMessageError::NoSeat);
     }
     match request {
-        Request::Hands(_) if hands.are_at_desk() => return Err(BadHands::Desk),
+        Request::Hands(_) if hands.are_at_desk() => return Err(HandsMessageError::Desk),
         Request::Hands(message) => hands.hear(seat.id(), &message)?,
         Request::Scale(scale) => hands.set_scale(scale)?,
         Request::Align(degrees) => hands.set_align_deg(degrees)?,

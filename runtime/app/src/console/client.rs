@@ -17,12 +17,12 @@ use super::by_hand;
 use super::dataset_view::DatasetView;
 use super::log_view::LogView;
 use super::pictures::Stream;
-use super::request::{Allowance, Request, command};
+use super::request::{Request, TokenBucket, command};
 use super::seats::{Seat, Taken};
 use super::shared::Shared;
 use crate::rt::MonotonicClock;
 use crate::session::operator::Command;
-use crate::session::teleop::Lost;
+use crate::session::teleop::ReleaseCause;
 use hal::TimeNs;
 use trocar_control::OperatorEvent;
 
@@ -41,16 +41,16 @@ const SILENCE_NS: u64 = 10_000_000_000;
 /// Time for one message to leave.
 const SEND: Duration = Duration::from_secs(5);
 
-/// The page ends here.
-struct Gone;
+/// The page has disconnected.
+struct Disconnected;
 
 /// What came from a page, if it is still there.
-type Heard = Option<Result<Message, axum::Error>>;
+type Incoming = Option<Result<Message, axum::Error>>;
 
 /// What a page gets.
 #[derive(Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-enum Told<'a> {
+enum ServerMessage<'a> {
     /// Who steers.
     Seat {
         steers: bool,
@@ -68,7 +68,7 @@ enum Told<'a> {
 }
 
 /// What there is to send.
-enum News {
+enum Outgoing {
     Text(Utf8Bytes),
     Picture(Bytes),
     End(Utf8Bytes),
@@ -95,7 +95,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
         moved: false,
         on_the_way: 0,
         heard: clock.now(),
-        allowance: Allowance::new(clock.now()),
+        allowance: TokenBucket::new(clock.now()),
         clock,
         shared,
         seat,
@@ -105,8 +105,10 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
     page.state.mark_changed();
     page.bulletin.mark_changed();
     page.taken.mark_changed();
-    let _gone: Result<(), Gone> = page.serve(&mut socket).await;
-    page.shared.hands.release(page.seat.id(), Lost::PageGone);
+    let _gone: Result<(), Disconnected> = page.serve(&mut socket).await;
+    page.shared
+        .hands
+        .release(page.seat.id(), ReleaseCause::PageGone);
 }
 
 struct Page {
@@ -128,12 +130,12 @@ struct Page {
     on_the_way: u32,
     /// When something was last heard of it.
     heard: TimeNs,
-    allowance: Allowance,
+    allowance: TokenBucket,
     clock: MonotonicClock,
 }
 
 impl Page {
-    async fn serve(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn serve(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let mut pings = interval(PING);
         loop {
             tokio::select! {
@@ -145,43 +147,43 @@ impl Page {
         }
     }
 
-    async fn ping(&self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn ping(&self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         if self.clock.now().since(self.heard) > SILENCE_NS {
-            return Err(Gone);
+            return Err(Disconnected);
         }
         let sent = self.clock.now().0.to_le_bytes();
         send(socket, Message::Ping(sent.to_vec().into())).await
     }
 
-    async fn tell(&mut self, news: News, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn tell(&mut self, news: Outgoing, socket: &mut WebSocket) -> Result<(), Disconnected> {
         match news {
-            News::Text(text) => {
+            Outgoing::Text(text) => {
                 self.on_the_way += 1;
                 send(socket, Message::Text(text)).await
             }
-            News::Picture(bytes) => {
+            Outgoing::Picture(bytes) => {
                 self.on_the_way += 1;
                 send(socket, Message::Binary(bytes)).await
             }
-            News::End(text) => {
+            Outgoing::End(text) => {
                 send(socket, Message::Text(text)).await?;
                 close(socket, close_code::NORMAL, "the run has ended").await?;
                 // A socket that goes with words unread resets the connection, and what is on its way is lost.
                 let unread = async { while let Some(Ok(_)) = socket.recv().await {} };
                 let _silent = timeout(FAREWELL, unread).await;
-                Err(Gone)
+                Err(Disconnected)
             }
         }
     }
 
-    async fn hear(&mut self, heard: Heard, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn hear(&mut self, heard: Incoming, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let Some(Ok(message)) = heard else {
-            return Err(Gone);
+            return Err(Disconnected);
         };
         self.heard = self.clock.now();
         if !self.allowance.take(self.heard) {
             close(socket, close_code::POLICY, "too many messages").await?;
-            return Err(Gone);
+            return Err(Disconnected);
         }
         let problem = match message {
             Message::Text(text) => match Request::parse(&text) {
@@ -194,19 +196,21 @@ impl Page {
                 return Ok(());
             }
             Message::Ping(_) => return Ok(()),
-            Message::Close(_) => return Err(Gone),
+            Message::Close(_) => return Err(Disconnected),
         };
-        answer(socket, &Told::Problem { text: &problem }).await
+        answer(socket, &ServerMessage::Problem { text: &problem }).await
     }
 
-    async fn act(&mut self, request: Request, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn act(&mut self, request: Request, socket: &mut WebSocket) -> Result<(), Disconnected> {
         match request {
             Request::Seen(count) => self.on_the_way = self.on_the_way.saturating_sub(count),
             Request::Steer(true) => {
                 self.seat.steer();
             }
             Request::Steer(false) => {
-                self.shared.hands.release(self.seat.id(), Lost::Seat);
+                self.shared
+                    .hands
+                    .release(self.seat.id(), ReleaseCause::Seat);
                 self.seat.let_go();
             }
             Request::Show(streams) => {
@@ -224,7 +228,7 @@ impl Page {
                 let episodes = dataset.map_or(0, |dataset| dataset.episodes());
                 if episode >= episodes {
                     let text = &format!("episode {episode}: there are {episodes}");
-                    return answer(socket, &Told::Problem { text }).await;
+                    return answer(socket, &ServerMessage::Problem { text }).await;
                 }
                 (self.episode, self.moved) = (episode, self.place.is_some());
             }
@@ -240,7 +244,7 @@ impl Page {
             | Request::Label(_) => {
                 if let Err(problem) = by_hand::heard(&self.shared, &self.seat, request) {
                     let text = &problem.to_string();
-                    return answer(socket, &Told::Problem { text }).await;
+                    return answer(socket, &ServerMessage::Problem { text }).await;
                 }
             }
         }
@@ -257,7 +261,7 @@ impl Page {
     }
 
     /// Does what the operator's verb does, if this page steers or the verb brings the arms to rest.
-    async fn command(&mut self, text: &str, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn command(&mut self, text: &str, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let (ok, said) = match command(text) {
             Err(reason) => (false, reason),
             Ok(command) if !brings_to_rest(command) && !self.seat.steers() => (
@@ -266,7 +270,7 @@ impl Page {
             ),
             Ok(command) => self.shared.say(command).await,
         };
-        let told = Told::Answer {
+        let told = ServerMessage::Answer {
             command: text,
             ok,
             text: &said,
@@ -275,7 +279,7 @@ impl Page {
     }
 
     /// Waits for something new; the most important first.
-    async fn news(&mut self) -> News {
+    async fn news(&mut self) -> Outgoing {
         if self.on_the_way >= ON_THE_WAY_MAX {
             // A page that lags behind is told of the end all the same: nobody is here to tell it later.
             drop(self.over.wait_for(Option::is_some).await);
@@ -297,24 +301,24 @@ impl Page {
     }
 
     /// What this page has not been told of.
-    fn newest(&mut self) -> Option<News> {
+    fn newest(&mut self) -> Option<Outgoing> {
         let last = self.over.borrow_and_update().clone();
         if let Some(last) = last {
             // How far a recording came is sent before its end.
-            return Some(changed(&mut self.bulletin).map_or(News::End(last), News::Text));
+            return Some(changed(&mut self.bulletin).map_or(Outgoing::End(last), Outgoing::Text));
         }
         if let Some(facts) = changed(&mut self.facts) {
-            return Some(News::Text(facts));
+            return Some(Outgoing::Text(facts));
         }
         if self.taken.has_changed().unwrap_or(false) {
             let taken = *self.taken.borrow_and_update();
-            let told = Told::Seat {
+            let told = ServerMessage::Seat {
                 steers: taken.steers == Some(self.seat.id()),
                 taken: taken.steers.is_some(),
                 pages: taken.pages,
             };
             let text = serde_json::to_string(&told).ok()?;
-            return Some(News::Text(text.into()));
+            return Some(Outgoing::Text(text.into()));
         }
         if let Some(log) = self.shared.log() {
             return self.of_log(&log);
@@ -324,33 +328,33 @@ impl Page {
         }
         let texts = [&mut self.bulletin, &mut self.state];
         if let Some(text) = texts.into_iter().find_map(changed) {
-            return Some(News::Text(text));
+            return Some(Outgoing::Text(text));
         }
         let (stream, picture) = self.shared.board.newer(&self.streams, &self.seen)?;
         self.seen.insert(stream, picture.number);
-        Some(News::Picture(picture.message))
+        Some(Outgoing::Picture(picture.message))
     }
 
     /// What a log says of the place that this page looks at.
-    fn of_log(&mut self, log: &LogView) -> Option<News> {
+    fn of_log(&mut self, log: &LogView) -> Option<Outgoing> {
         let seconds = self.place?;
         if std::mem::take(&mut self.moved) {
-            return Some(News::Text(log.state(seconds)?.into()));
+            return Some(Outgoing::Text(log.state(seconds)?.into()));
         }
         self.streams.iter().find_map(|stream| {
             let (number, message) = log.picture(*stream, seconds)?;
             let fresh = self.seen.insert(*stream, number) != Some(number);
-            fresh.then_some(News::Picture(message))
+            fresh.then_some(Outgoing::Picture(message))
         })
     }
 }
 
 impl Page {
     /// What a dataset says of the place that this page looks at. Images are decoded here, in the server's thread: nothing runs beside it.
-    fn of_dataset(&mut self, dataset: &DatasetView) -> Option<News> {
+    fn of_dataset(&mut self, dataset: &DatasetView) -> Option<Outgoing> {
         let place = (self.episode, self.place?);
         if std::mem::take(&mut self.moved) {
-            return Some(News::Text(dataset.state(place)?.into()));
+            return Some(Outgoing::Text(dataset.state(place)?.into()));
         }
         let frame = dataset.frame(place)?;
         let number = frame as u64 + 1;
@@ -359,12 +363,12 @@ impl Page {
                 continue;
             }
             match dataset.picture(*stream, frame) {
-                Ok(Some(message)) => return Some(News::Picture(message)),
+                Ok(Some(message)) => return Some(Outgoing::Picture(message)),
                 Ok(None) => {}
                 Err(damaged) => {
                     let text = &damaged.to_string();
-                    let told = serde_json::to_string(&Told::Problem { text }).ok()?;
-                    return Some(News::Text(told.into()));
+                    let told = serde_json::to_string(&ServerMessage::Problem { text }).ok()?;
+                    return Some(Outgoing::Text(told.into()));
                 }
             }
         }
@@ -381,20 +385,24 @@ fn changed(receiver: &mut watch::Receiver<Utf8Bytes>) -> Option<Utf8Bytes> {
     (!text.is_empty()).then_some(text)
 }
 
-async fn answer(socket: &mut WebSocket, told: &Told<'_>) -> Result<(), Gone> {
-    let text = serde_json::to_string(told).map_err(|_| Gone)?;
+async fn answer(socket: &mut WebSocket, told: &ServerMessage<'_>) -> Result<(), Disconnected> {
+    let text = serde_json::to_string(told).map_err(|_| Disconnected)?;
     send(socket, Message::Text(text.into())).await
 }
 
-async fn close(socket: &mut WebSocket, code: u16, reason: &'static str) -> Result<(), Gone> {
+async fn close(
+    socket: &mut WebSocket,
+    code: u16,
+    reason: &'static str,
+) -> Result<(), Disconnected> {
     let reason = Utf8Bytes::from_static(reason);
     send(socket, Message::Close(Some(CloseFrame { code, reason }))).await
 }
 
-async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Gone> {
+async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Disconnected> {
     match timeout(SEND, socket.send(message)).await {
         Ok(Ok(())) => Ok(()),
-        Ok(Err(_)) | Err(_) => Err(Gone),
+        Ok(Err(_)) | Err(_) => Err(Disconnected),
     }
 }
 

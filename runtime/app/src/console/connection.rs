@@ -40,9 +40,9 @@ const PLAINTEXT: &[u8] = b"HTTP/1.1 400 Bad Request\r\nContent-Type: text/plain\
 
 /// The permit of a connection, one of a bounded number; released when its last copy is dropped.
 #[derive(Clone)]
-pub(super) struct Place(Arc<OwnedSemaphorePermit>);
+pub(super) struct ConnectionPermit(Arc<OwnedSemaphorePermit>);
 
-impl Place {
+impl ConnectionPermit {
     /// Gives it up.
     pub(super) fn leave(self) {
         drop(self.0);
@@ -58,13 +58,13 @@ pub(super) async fn admit(listener: TcpListener, tls: Option<Tls>, router: Route
             continue;
         };
         if let Ok(place) = Arc::clone(&free).try_acquire_owned() {
-            let place = Place(Arc::new(place));
+            let place = ConnectionPermit(Arc::new(place));
             tokio::spawn(attend(stream, tls.clone(), router.clone(), place));
         }
     }
 }
 
-async fn attend(stream: TcpStream, tls: Option<Tls>, router: Router, place: Place) {
+async fn attend(stream: TcpStream, tls: Option<Tls>, router: Router, place: ConnectionPermit) {
     let _late = stream.set_nodelay(true);
     let Some(tls) = tls else {
         return talk(stream, router, place).await;
@@ -89,7 +89,7 @@ async fn secure(mut stream: TcpStream, tls: &Tls) -> Option<TlsStream<TcpStream>
     tls.acceptor().accept(stream).await.ok()
 }
 
-async fn talk<S>(stream: S, router: Router, place: Place)
+async fn talk<S>(stream: S, router: Router, place: ConnectionPermit)
 where
     S: AsyncRead + AsyncWrite + Send + Unpin + 'static,
 {

@@ -5,13 +5,13 @@ use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
 
 use super::address::{Address, names};
-use super::server::{Door, Opened};
+use super::server::{ListenerKind, Opened};
 use super::tls::Tls;
 use crate::session::SessionError;
 
-/// Where a console is to be reached.
+/// Addresses that a console listens on.
 #[derive(Clone, Debug, Default)]
-pub struct Doors {
+pub struct ListenAddresses {
     /// For pages.
     pub page: Option<Address>,
     /// For Foxglove.
@@ -37,7 +37,7 @@ pub(super) struct Listening {
     pub(super) listeners: Vec<Opened>,
 }
 
-impl Doors {
+impl ListenAddresses {
     /// Listens at all of them.
     ///
     /// # Errors
@@ -63,8 +63,8 @@ impl Doors {
             });
             Ok(Some(Reached { address, secure }))
         };
-        let page = listen("--console", self.page, Door::Pages)?;
-        let viewers = listen("--foxglove", self.viewers, Door::Viewers)?;
+        let page = listen("--console", self.page, ListenerKind::Pages)?;
+        let viewers = listen("--foxglove", self.viewers, ListenerKind::Viewers)?;
         Ok(Listening {
             page,
             viewers,

@@ -23,14 +23,14 @@ use trocar_log::live;
 
 use super::encode::HEAD;
 use super::pictures::{Plane, Stream};
-use super::request::Allowance;
+use super::request::TokenBucket;
 use super::scene::{self, Shapes};
 use super::seats::Seat;
 use super::shared::Shared;
-use super::viewers::{Message as News, Offer, Told};
+use super::viewers::{Advertised, Message as ViewerMessage, ViewerReceivers};
 use crate::rt::MonotonicClock;
 use played::Played;
-use wire::{Gone, Request, Subscription, send, stamp, tell_time, text};
+use wire::{Disconnected, Request, Subscription, send, stamp, tell_time, text};
 
 /// What a viewer asks the WebSocket to speak.
 pub(super) const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
@@ -62,19 +62,19 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
         happened: 0,
         played: Played::default(),
         shown: false,
-        allowance: Allowance::new(clock.now()),
+        allowance: TokenBucket::new(clock.now()),
         clock,
     };
-    let _gone: Result<(), Gone> = viewer.serve(&mut socket).await;
+    let _gone: Result<(), Disconnected> = viewer.serve(&mut socket).await;
 }
 
 struct Viewer {
     shared: Arc<Shared>,
     seat: Seat,
-    told: Told,
+    told: ViewerReceivers,
     pictures: watch::Receiver<u64>,
     over: watch::Receiver<Option<axum::extract::ws::Utf8Bytes>>,
-    offer: Arc<Offer>,
+    offer: Arc<Advertised>,
     shapes: Arc<Shapes>,
     /// The channel of each subscription.
     subscriptions: BTreeMap<u32, usize>,
@@ -87,12 +87,12 @@ struct Viewer {
     played: Played,
     /// Whether it has the shapes.
     shown: bool,
-    allowance: Allowance,
+    allowance: TokenBucket,
     clock: MonotonicClock,
 }
 
 impl Viewer {
-    async fn serve(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn serve(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         // The time is that of the run, or of the log, where it may jump.
         let info = json!({ "op": "serverInfo", "name": "trocar", "capabilities": ["time"], "supportedEncodings": [], "metadata": {} });
         text(socket, &info).await?;
@@ -105,7 +105,7 @@ impl Viewer {
                 _ = self.told.happened.changed() => self.tell_happened(socket).await?,
                 _ = self.over.changed() => {
                     send(socket, Message::Close(None)).await?;
-                    return Err(Gone);
+                    return Err(Disconnected);
                 }
                 _ = self.told.newest.changed() => self.tell_newest(socket).await?,
                 _ = self.pictures.changed() => self.tell_pictures(socket).await?,
@@ -114,16 +114,16 @@ impl Viewer {
         }
     }
 
-    fn hear(&mut self, heard: Option<Result<Message, axum::Error>>) -> Result<(), Gone> {
+    fn hear(&mut self, heard: Option<Result<Message, axum::Error>>) -> Result<(), Disconnected> {
         let Some(Ok(message)) = heard else {
-            return Err(Gone);
+            return Err(Disconnected);
         };
         if !self.allowance.take(self.clock.now()) {
-            return Err(Gone);
+            return Err(Disconnected);
         }
         let request = match &message {
             Message::Text(text) => serde_json::from_str(text).unwrap_or(Request::Other),
-            Message::Close(_) => return Err(Gone),
+            Message::Close(_) => return Err(Disconnected),
             Message::Binary(_) | Message::Ping(_) | Message::Pong(_) => Request::Other,
         };
         match request {
@@ -178,7 +178,7 @@ impl Viewer {
     }
 
     /// Says which topics there are; those of a run before are no more.
-    async fn advertise(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn advertise(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let offer = Arc::clone(&self.told.offer.borrow_and_update());
         self.shapes = self.shared.shapes();
         self.shown = false;
@@ -206,7 +206,7 @@ impl Viewer {
         text(socket, &json!({ "op": "advertise", "channels": channels })).await
     }
 
-    async fn tell_newest(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn tell_newest(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let newest = Arc::clone(&self.told.newest.borrow_and_update());
         if let Some(first) = newest.first() {
             tell_time(socket, first.at).await?;
@@ -214,14 +214,14 @@ impl Viewer {
         self.tell(socket, &newest).await
     }
 
-    async fn tell_happened(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn tell_happened(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let (fresh, all) = self.shared.viewers.since(self.happened);
         self.happened = all;
         self.tell(socket, &fresh).await
     }
 
     /// Goes on with a log, if that is what is shown: what its messages say, and what time it is in it.
-    async fn play(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn play(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let Some(log) = self.shared.log() else {
             return Ok(());
         };
@@ -236,14 +236,18 @@ impl Viewer {
         self.tell(socket, &fresh).await
     }
 
-    async fn tell(&self, socket: &mut WebSocket, messages: &[News]) -> Result<(), Gone> {
-        for News { topic, at, data } in messages {
+    async fn tell(
+        &self,
+        socket: &mut WebSocket,
+        messages: &[ViewerMessage],
+    ) -> Result<(), Disconnected> {
+        for ViewerMessage { topic, at, data } in messages {
             self.publish(socket, topic, *at, data).await?;
         }
         Ok(())
     }
 
-    async fn tell_pictures(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn tell_pictures(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         while let Some((stream, picture)) = self.shared.board.newer(&self.streams, &self.seen) {
             self.seen.insert(stream, picture.number);
             let at = stamp(&picture.message);
@@ -263,7 +267,7 @@ impl Viewer {
         at: TimeNs,
         stream: Stream,
         message: &Bytes,
-    ) -> Result<(), Gone> {
+    ) -> Result<(), Disconnected> {
         let cameras = &self.offer.cameras;
         let Some(camera) = cameras.get(usize::from(stream.camera)).cloned() else {
             return Ok(());
@@ -283,7 +287,7 @@ impl Viewer {
         socket: &mut WebSocket,
         at: TimeNs,
         message: &Bytes,
-    ) -> Result<(), Gone> {
+    ) -> Result<(), Disconnected> {
         let shapes = Arc::clone(&self.shapes);
         let Some((visuals, cameras)) = scene::places(message) else {
             return Ok(());
@@ -308,7 +312,7 @@ impl Viewer {
         topic: &str,
         at: TimeNs,
         message: &[u8],
-    ) -> Result<(), Gone> {
+    ) -> Result<(), Disconnected> {
         let ids: Vec<u32> = self.subscribed(topic).collect();
         for id in ids {
             let mut bytes = vec![1];

@@ -18,7 +18,7 @@ use crate::session::teleop::Hands;
 use hal::{Chunk, PerArm, TimeNs};
 use rtrb::Consumer;
 use trocar_log::TickRecord;
-use trocar_log::live::{self, Happened};
+use trocar_log::live::{self, StateChanges};
 
 /// The reading ends of a run.
 #[derive(Debug)]
@@ -34,9 +34,9 @@ pub(super) struct Live {
     buses: Mutex<Buses>,
 }
 
-/// What a run says of itself, through mailboxes.
+/// Mailboxes with a run's newest state.
 #[derive(Debug)]
-pub(super) struct Said {
+pub(super) struct RunMailboxes {
     pub(super) samples: MailboxReader<Sample>,
     pub(super) task: MailboxReader<TaskState>,
     pub(super) chunks: MailboxReader<PerArm<Chunk>>,
@@ -46,11 +46,11 @@ pub(super) struct Said {
 
 #[derive(Debug)]
 struct Newest {
-    said: Said,
+    said: RunMailboxes,
     newest: Option<(Sample, TimeNs)>,
     chunks: Option<PerArm<Chunk>>,
     task: Option<TaskState>,
-    happened: Happened,
+    happened: StateChanges,
     /// When the tick was that viewers were told of last.
     previous: TimeNs,
 }
@@ -58,7 +58,7 @@ struct Newest {
 impl Live {
     pub(super) fn new(
         facts: Facts,
-        said: Said,
+        said: RunMailboxes,
         operator: Option<PathBuf>,
         (hands, board): (Arc<Hands>, Arc<Board>),
     ) -> Self {
@@ -70,7 +70,7 @@ impl Live {
                 newest: None,
                 chunks: None,
                 task: None,
-                happened: Happened::new(),
+                happened: StateChanges::new(),
                 previous: TimeNs(0),
             }),
             clock: MonotonicClock::new(),

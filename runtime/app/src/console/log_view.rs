@@ -10,7 +10,7 @@ use rtrb::RingBuffer;
 use trocar_control::{AnyController, ControlConfig, OperatingState, TickInput};
 use trocar_log::live;
 use trocar_log::replay::ReplayError;
-use trocar_log::{LogEnd, RunHeader, Shown, Step, TickRecord, read_shown, read_steps};
+use trocar_log::{LogEnd, LoggedItem, RunHeader, Step, TickRecord, read_items, read_steps};
 
 use super::encode;
 use super::facts::{EndFacts, EventFacts, Facts};
@@ -60,13 +60,15 @@ impl LogView {
         let mut images = Images::default();
         let mut events = Vec::new();
         let mut messages = LogMessages::default();
-        read_shown(path, |shown| match shown {
-            Shown::Image { camera, at, image } => images.keep(camera, at, image),
-            Shown::Event { at, text } => events.push((at, text.to_owned())),
-            Shown::Message { topic, at, data } if views && live::camera_of(topic).is_none() => {
+        read_items(path, |shown| match shown {
+            LoggedItem::Image { camera, at, image } => images.keep(camera, at, image),
+            LoggedItem::Event { at, text } => events.push((at, text.to_owned())),
+            LoggedItem::Message { topic, at, data }
+                if views && live::camera_of(topic).is_none() =>
+            {
                 messages.keep(topic, at, data);
             }
-            Shown::Message { .. } => {}
+            LoggedItem::Message { .. } => {}
         })?;
         let mut recomputed = None;
         let (header, end) = read_steps(path, |header, step| -> Result<(), SessionError> {

@@ -55,7 +55,7 @@ use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::Criteria;
 
 pub use address::{Address, BadAddress, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
-pub use doors::Doors;
+pub use doors::ListenAddresses;
 pub use facts::Facts;
 pub(crate) use facts::PictureFacts;
 pub(crate) use pictures::{BETWEEN_NS, FramePlanes, FrameTap};
@@ -69,7 +69,7 @@ use crate::session::teleop::{self, Hands};
 use access::Access;
 use dataset_view::DatasetView;
 use doors::{Listening, Reached};
-use live::{Live, Said};
+use live::{Live, RunMailboxes};
 use log_view::LogView;
 use pictures::Board;
 use shared::Shared;
@@ -142,7 +142,7 @@ fn tapped(
     let (chunks_to, chunks) = mailbox();
     let (noted_to, noted) = pre_faulted_queue(NOTED);
     hands.follow(commanded_from);
-    let said = Said {
+    let said = RunMailboxes {
         samples: from,
         task: task_from,
         chunks,
@@ -170,9 +170,9 @@ impl Console {
     /// # Errors
     /// [`SessionError::BadArgument`] if nobody can listen there.
     pub fn open(address: Address) -> Result<Self, SessionError> {
-        Self::open_doors(&Doors {
+        Self::listen_on(&ListenAddresses {
             page: Some(address),
-            ..Doors::default()
+            ..ListenAddresses::default()
         })
     }
 
@@ -180,7 +180,7 @@ impl Console {
     ///
     /// # Errors
     /// [`SessionError::BadArgument`] if nobody can listen there, or a certificate is none.
-    pub fn open_doors(doors: &Doors) -> Result<Self, SessionError> {
+    pub fn listen_on(doors: &ListenAddresses) -> Result<Self, SessionError> {
         let Listening {
             page,
             viewers,

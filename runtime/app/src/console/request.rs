@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 use super::pictures::Stream;
 use crate::session::operator::Command;
-use crate::session::teleop::{HandsMessage, Wish};
+use crate::session::teleop::{EpisodeCommand, HandsMessage};
 
 /// Bytes that a message may have.
 pub(super) const MESSAGE_BYTES_MAX: usize = 1024;
@@ -41,7 +41,7 @@ pub(super) enum Request {
     /// The policy is to drive again.
     HandBack(bool),
     /// What is to become of the demonstration.
-    Episode(Wish),
+    Episode(EpisodeCommand),
     /// What the demonstration under way is called in the dataset; nothing takes its label away.
     Label(String),
     /// Where in a log, or an episode of a dataset, to look, s from its beginning.
@@ -66,7 +66,7 @@ pub(super) enum BadRequest {
     #[error("a label has up to {LABEL_CHARS_MAX} characters, none of them a control character")]
     Label,
     /// It is of no time.
-    #[error("a picture's time is a finite number, not negative")]
+    #[error("a frame's time is a finite number, not negative")]
     Time,
 }
 
@@ -116,12 +116,12 @@ fn is_label(text: &str) -> bool {
 /// What is wrong with it.
 pub(super) fn command(text: &str) -> Result<Command, String> {
     text.parse()
-        .map_err(|error: crate::session::operator::NoCommand| error.to_string())
+        .map_err(|error: crate::session::operator::UnknownCommand| error.to_string())
 }
 
-/// How many messages may come: a store that fills up with time and that each message takes from.
+/// A token bucket: it bounds the rate of messages.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Allowance {
+pub(super) struct TokenBucket {
     left: u64,
     filled: TimeNs,
 }
@@ -130,7 +130,7 @@ pub(super) struct Allowance {
 const STORE: u64 = 300;
 const REFILL_NS: u64 = 5_000_000;
 
-impl Allowance {
+impl TokenBucket {
     /// A full store.
     pub(super) const fn new(now: TimeNs) -> Self {
         Self {
@@ -231,7 +231,7 @@ mod tests {
 
     #[test]
     fn messages_run_out_and_come_back_with_time() {
-        let mut allowance = Allowance::new(TimeNs(0));
+        let mut allowance = TokenBucket::new(TimeNs(0));
         let taken = (0..1000).filter(|_| allowance.take(TimeNs(0))).count();
         assert_eq!(taken, 300);
         assert!(allowance.take(TimeNs(REFILL_NS)));

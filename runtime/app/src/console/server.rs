@@ -19,7 +19,7 @@ use tokio::time::{MissedTickBehavior, interval, timeout};
 
 use super::access::{Refusal, check_host, check_origin, check_viewer_origin};
 use super::client::attend;
-use super::connection::{Place, admit};
+use super::connection::{ConnectionPermit, admit};
 use super::foxglove;
 use super::request::MESSAGE_BYTES_MAX;
 use super::shared::Shared;
@@ -102,9 +102,9 @@ pub(super) fn runtime() -> io::Result<Runtime> {
         .build()
 }
 
-/// Whom a listener is for.
+/// What a listener serves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Door {
+pub(super) enum ListenerKind {
     /// Pages of the console.
     Pages,
     /// Foxglove, and whoever speaks its protocol.
@@ -114,18 +114,18 @@ pub(super) enum Door {
 /// A listener: whom it is for, and its TLS if other machines reach it.
 pub(super) struct Opened {
     pub(super) listener: TcpListener,
-    pub(super) door: Door,
+    pub(super) door: ListenerKind,
     pub(super) tls: Option<Tls>,
 }
 
 /// What a request's handler knows.
 #[derive(Clone)]
-struct Desk {
+struct ServerState {
     shared: Arc<Shared>,
     tls: Option<Tls>,
 }
 
-impl Deref for Desk {
+impl Deref for ServerState {
     type Target = Shared;
 
     fn deref(&self) -> &Shared {
@@ -148,7 +148,7 @@ pub(super) fn serve(
         } in listeners
         {
             let listener = tokio::net::TcpListener::from_std(listener)?;
-            let desk = Desk {
+            let desk = ServerState {
                 shared: Arc::clone(shared),
                 tls: tls.clone(),
             };
@@ -177,13 +177,13 @@ async fn refresh(shared: &Shared) {
     tokio::time::sleep(STATE_EVERY).await;
 }
 
-impl Desk {
-    fn router(self, door: Door) -> Router {
+impl ServerState {
+    fn router(self, door: ListenerKind) -> Router {
         let routes = match door {
-            Door::Pages => Router::new()
+            ListenerKind::Pages => Router::new()
                 .route("/socket", get(socket))
                 .fallback(get(file)),
-            Door::Viewers => Router::new().route("/", get(viewer)),
+            ListenerKind::Viewers => Router::new().route("/", get(viewer)),
         };
         routes
             .layer(middleware::from_fn_with_state(self.clone(), guard))
@@ -192,7 +192,7 @@ impl Desk {
 }
 
 /// Checks the host of every request, and tells the browser what it may do with every answer.
-async fn guard(State(desk): State<Desk>, request: Request, next: Next) -> Response {
+async fn guard(State(desk): State<ServerState>, request: Request, next: Next) -> Response {
     let mut response = match check_host(request.headers(), desk.tls.as_ref()) {
         Ok(()) => next.run(request).await,
         Err(refusal) => refused(refusal),
@@ -205,7 +205,7 @@ async fn guard(State(desk): State<Desk>, request: Request, next: Next) -> Respon
     response
 }
 
-async fn file(State(desk): State<Desk>, uri: Uri, headers: HeaderMap) -> Response {
+async fn file(State(desk): State<ServerState>, uri: Uri, headers: HeaderMap) -> Response {
     let access = &desk.access;
     let by_query = access.is_in_query(uri.query());
     if !by_query && let Err(refusal) = access.check_cookie(&headers) {
@@ -229,8 +229,8 @@ async fn file(State(desk): State<Desk>, uri: Uri, headers: HeaderMap) -> Respons
 }
 
 async fn socket(
-    State(desk): State<Desk>,
-    Extension(place): Extension<Place>,
+    State(desk): State<ServerState>,
+    Extension(place): Extension<ConnectionPermit>,
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,
 ) -> Response {
@@ -250,8 +250,8 @@ async fn socket(
 
 /// A viewer has the token in its address, as the run prints it.
 async fn viewer(
-    State(desk): State<Desk>,
-    Extension(place): Extension<Place>,
+    State(desk): State<ServerState>,
+    Extension(place): Extension<ConnectionPermit>,
     uri: Uri,
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,

@@ -38,7 +38,7 @@ impl Message {
 
 /// The topics of what is shown, and its cameras in their order.
 #[derive(Debug, Default)]
-pub(super) struct Offer {
+pub(super) struct Advertised {
     pub(super) channels: Vec<Channel>,
     pub(super) cameras: Vec<String>,
 }
@@ -46,7 +46,7 @@ pub(super) struct Offer {
 /// What all viewers share.
 #[derive(Debug, Default)]
 pub(super) struct Viewers {
-    offer: watch::Sender<Arc<Offer>>,
+    offer: watch::Sender<Arc<Advertised>>,
     newest: watch::Sender<Arc<Vec<Message>>>,
     /// The last that came of those that each viewer is to have, and how many there have been.
     happened: Mutex<VecDeque<Message>>,
@@ -54,16 +54,16 @@ pub(super) struct Viewers {
 }
 
 /// A viewer's ends.
-pub(super) struct Told {
-    pub(super) offer: watch::Receiver<Arc<Offer>>,
+pub(super) struct ViewerReceivers {
+    pub(super) offer: watch::Receiver<Arc<Advertised>>,
     pub(super) newest: watch::Receiver<Arc<Vec<Message>>>,
     pub(super) happened: watch::Receiver<u64>,
 }
 
 impl Viewers {
     /// The ends of another viewer, to which all that is there is new.
-    pub(super) fn join(&self) -> Told {
-        let mut told = Told {
+    pub(super) fn join(&self) -> ViewerReceivers {
+        let mut told = ViewerReceivers {
             offer: self.offer.subscribe(),
             newest: self.newest.subscribe(),
             happened: self.count.subscribe(),
@@ -80,7 +80,7 @@ impl Viewers {
 
     /// From now on these are the topics.
     pub(super) fn offer(&self, channels: Vec<Channel>, cameras: Vec<String>) {
-        let offer = Offer { channels, cameras };
+        let offer = Advertised { channels, cameras };
         self.offer.send_replace(Arc::new(offer));
     }
 

@@ -17,7 +17,7 @@ use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, Ke
 use crate::rig::can_traffic::Buses;
 use crate::rt;
 use crate::session::SessionError;
-use crate::session::operator::{Command, Look, Onlooker};
+use crate::session::operator::{Command, Query, QueryClient};
 use seen::{Facts, State};
 use trocar_control::OperatorEvent;
 
@@ -40,9 +40,9 @@ struct Screen {
 
 /// What a key asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Wish {
+enum KeyAction {
     Quit,
-    Say(Command),
+    Send(Command),
 }
 
 /// Shows the run of process `run`, or the only one of this user, until it ends or the person leaves.
@@ -55,8 +55,8 @@ pub fn monitor(run: Option<&str>) -> Result<(), SessionError> {
         return Err(SessionError::BadArgument(reason.to_owned()));
     }
     let failed = |error: io::Error| SessionError::RealTime(format!("monitor: {error}"));
-    let mut onlooker = Onlooker::of(run)?;
-    let facts = onlooker.look(Look::Facts).map_err(failed)?;
+    let mut client = QueryClient::of(run)?;
+    let facts = client.query(Query::Facts).map_err(failed)?;
     let facts = serde_json::from_str(&facts).map_err(|error| failed(error.into()))?;
     let mut screen = Screen {
         facts,
@@ -70,7 +70,7 @@ pub fn monitor(run: Option<&str>) -> Result<(), SessionError> {
         ratatui::restore();
         failed(error)
     })?;
-    let shown = show(&mut terminal, &mut onlooker, &mut screen);
+    let shown = show(&mut terminal, &mut client, &mut screen);
     ratatui::restore();
     shown.map_err(failed)
 }
@@ -78,14 +78,14 @@ pub fn monitor(run: Option<&str>) -> Result<(), SessionError> {
 /// Looks and draws until the run ends or the person leaves.
 fn show(
     terminal: &mut DefaultTerminal,
-    onlooker: &mut Onlooker,
+    client: &mut QueryClient,
     screen: &mut Screen,
 ) -> io::Result<()> {
     loop {
         if rt::interrupted() {
             return Ok(());
         }
-        let state = match onlooker.look(Look::State) {
+        let state = match client.query(Query::State) {
             Ok(state) => state,
             Err(error) if is_end(&error) => return Ok(()),
             Err(error) => {
@@ -105,8 +105,8 @@ fn show(
         };
         let percent = screen.state.as_ref().map(|state| state.speed_percent);
         match wish(key, percent.unwrap_or(100)) {
-            Some(Wish::Quit) => return Ok(()),
-            Some(Wish::Say(command)) => screen.answer = said(onlooker, command),
+            Some(KeyAction::Quit) => return Ok(()),
+            Some(KeyAction::Send(command)) => screen.answer = said(client, command),
             None => {}
         }
     }
@@ -118,27 +118,27 @@ fn is_end(error: &io::Error) -> bool {
     matches!(error.kind(), BrokenPipe | ConnectionReset | UnexpectedEof)
 }
 
-fn said(onlooker: &Onlooker, command: Command) -> String {
-    let answer = onlooker.say(command);
+fn said(client: &QueryClient, command: Command) -> String {
+    let answer = client.say(command);
     let answer = answer.unwrap_or_else(|error| format!("error: {error}"));
     format!("{command}: {answer}")
 }
 
 /// What `key` asks for, of a run whose speed limits are at `percent`.
-fn wish(key: KeyEvent, percent: u8) -> Option<Wish> {
+fn wish(key: KeyEvent, percent: u8) -> Option<KeyAction> {
     if key.kind != KeyEventKind::Press {
         return None;
     }
     let KeyCode::Char(letter) = key.code else {
-        return (key.code == KeyCode::Esc).then_some(Wish::Quit);
+        return (key.code == KeyCode::Esc).then_some(KeyAction::Quit);
     };
     if key.modifiers.contains(KeyModifiers::CONTROL) {
-        return (letter == 'c').then_some(Wish::Quit);
+        return (letter == 'c').then_some(KeyAction::Quit);
     }
     let speed = |percent| OperatorEvent::Speed { percent };
     let event = match letter {
-        'q' => return Some(Wish::Quit),
-        's' => return Some(Wish::Say(Command::Stop)),
+        'q' => return Some(KeyAction::Quit),
+        's' => return Some(KeyAction::Send(Command::Stop)),
         'p' => OperatorEvent::Pause,
         'r' => OperatorEvent::Resume,
         'e' => OperatorEvent::Enable,
@@ -148,7 +148,7 @@ fn wish(key: KeyEvent, percent: u8) -> Option<Wish> {
         '+' => speed(percent.saturating_add(SPEED_STEP).min(100)),
         _ => return None,
     };
-    Some(Wish::Say(Command::Event(event)))
+    Some(KeyAction::Send(Command::Event(event)))
 }
 
 #[cfg(test)]

@@ -124,7 +124,7 @@ fn every_size_is_drawn() {
 #[test]
 fn keys_are_the_operators_commands() {
     let pressed = |key| wish(KeyEvent::new(key, KeyModifiers::NONE), 95);
-    let said = |text: &str| Some(Wish::Say(text.parse().unwrap()));
+    let said = |text: &str| Some(KeyAction::Send(text.parse().unwrap()));
     for (key, text) in [
         ('p', "pause"),
         ('r', "resume"),
@@ -145,6 +145,6 @@ fn keys_are_the_operators_commands() {
         KeyEvent::new(KeyCode::Esc, KeyModifiers::NONE),
         KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL),
     ] {
-        assert_eq!(wish(quit, 100), Some(Wish::Quit));
+        assert_eq!(wish(quit, 100), Some(KeyAction::Quit));
     }
 }

@@ -16,15 +16,15 @@ pub(crate) type BusArm = CanArm<SocketBus<CanClock>>;
 pub(crate) struct CanRig {
     pub(crate) arms: PerArm<BusArm>,
     noticed: MailboxWriter<Noticed>,
-    happened: PerArm<Happened>,
+    happened: PerArm<CanStatus>,
     /// Whether each arm's drives have all confirmed that they are without torque, when they were taken down.
     pub(crate) confirmed_down: PerArm<bool>,
     periodic: Periodic,
 }
 
-/// What has happened to an arm so far.
+/// Faults and controller events of an arm so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Happened {
+pub(crate) struct CanStatus {
     /// What stopped its drives.
     pub(crate) fault: Option<Fault>,
     /// How often our controller became error passive on each bus.
@@ -32,7 +32,7 @@ pub(crate) struct Happened {
 }
 
 /// The same of all arms, and when the newest of it was noticed.
-pub(crate) type Noticed = (TimeNs, PerArm<Happened>);
+pub(crate) type Noticed = (TimeNs, PerArm<CanStatus>);
 
 impl CanRig {
     pub(crate) fn new(
@@ -40,7 +40,7 @@ impl CanRig {
         noticed: MailboxWriter<Noticed>,
         periodic: Periodic,
     ) -> Self {
-        let happened = arms.as_ref().map(|_| Happened::default());
+        let happened = arms.as_ref().map(|_| CanStatus::default());
         Self {
             confirmed_down: arms.as_ref().map(|_| false),
             arms,
@@ -90,7 +90,7 @@ impl CanRig {
     }
 
     fn notice(&mut self, now: TimeNs) {
-        let happened = self.arms.as_ref().map(|arm| Happened {
+        let happened = self.arms.as_ref().map(|arm| CanStatus {
             fault: arm.fault(),
             passives: arm.cycle().line_health().map(|health| health.passives),
         });

@@ -49,14 +49,14 @@ pub(crate) fn control(
 }
 
 /// A rig, and whoever else wants to know what its arms measure.
-pub(crate) struct Observed<R> {
+pub(crate) struct ObservedRig<R> {
     pub(crate) rig: R,
     /// How many arms it has measured.
     pub(crate) arms: usize,
     measured: MailboxWriter<PerArm<ArmState>>,
 }
 
-impl<R> Observed<R> {
+impl<R> ObservedRig<R> {
     pub(crate) const fn new(rig: R, measured: MailboxWriter<PerArm<ArmState>>) -> Self {
         Self {
             rig,
@@ -66,7 +66,7 @@ impl<R> Observed<R> {
     }
 }
 
-impl<R: Rig> Rig for Observed<R> {
+impl<R: Rig> Rig for ObservedRig<R> {
     fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period {
         let period = self.rig.exchange(setpoints);
         if let Some(measured) = &period.measured {

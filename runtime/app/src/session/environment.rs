@@ -8,7 +8,7 @@ use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::simulation::Simulation;
 use trocar_tasks::task::{Outcome, Reason};
 
-use super::episode::{Episode, EpisodeEnd, Nobody, Timing};
+use super::episode::{Episode, EpisodeEnd, NoObserver, Timing};
 use super::external::{ExternalChoice, ExternalPolicy};
 use super::latency::Latency;
 use super::run::next_simulation;
@@ -62,7 +62,7 @@ pub fn run_environment(
             controller: &mut setup.controller()?,
             source: &mut source,
         };
-        match episode.run(&timing, &mut Nobody) {
+        match episode.run(&timing, &mut NoObserver) {
             Ok(end) => {
                 on_end(Some(&summary(seed, &end)));
                 show_end(&shared, &mut simulation, &names, &end)?;

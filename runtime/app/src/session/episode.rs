@@ -1,6 +1,6 @@
 //! One episode in lockstep: virtual time, everything in one thread, bit for bit the same each time.
 
-use hal::{CameraFrame, Chunk, FrameRef, Measured, PerArm, Rig as _, SeenArm, TimeNs};
+use hal::{ArmObservation, CameraFrame, Chunk, FrameRef, Measured, PerArm, Rig as _, TimeNs};
 use trocar_tasks::disturbance::Disturber;
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::simulation::Simulation;
@@ -29,7 +29,7 @@ pub struct Timing {
 #[derive(Clone, Copy, Debug)]
 pub struct StepView<'a> {
     /// The measured arms.
-    pub arms: &'a PerArm<SeenArm>,
+    pub arms: &'a PerArm<ArmObservation>,
     /// Frames, if any were taken: of the policy's cameras, then of the watcher's others.
     pub frames: &'a [CameraFrame],
     /// The answer, a chunk for each arm, if the policy was asked.
@@ -38,8 +38,8 @@ pub struct StepView<'a> {
     pub snapshot: &'a SceneSnapshot,
 }
 
-/// Looks on while an episode runs: a log, a dataset, pictures.
-pub trait Watcher {
+/// Observes an episode: a log, a dataset, images.
+pub trait EpisodeObserver {
     /// Cameras whose frames it wants at every policy step.
     fn cameras(&self) -> Vec<String> {
         Vec::new()
@@ -76,11 +76,11 @@ pub trait Watcher {
     }
 }
 
-/// A watcher that wants nothing.
+/// An observer that wants nothing.
 #[derive(Debug)]
-pub struct Nobody;
+pub struct NoObserver;
 
-impl Watcher for Nobody {}
+impl EpisodeObserver for NoObserver {}
 
 /// How an episode ended.
 #[derive(Debug)]
@@ -113,7 +113,7 @@ impl Episode<'_> {
     pub fn run(
         self,
         timing: &Timing,
-        watcher: &mut dyn Watcher,
+        watcher: &mut dyn EpisodeObserver,
     ) -> Result<EpisodeEnd, SessionError> {
         self.run_disturbed(timing, watcher, None)
     }
@@ -126,7 +126,7 @@ impl Episode<'_> {
     pub fn run_disturbed(
         self,
         timing: &Timing,
-        watcher: &mut dyn Watcher,
+        watcher: &mut dyn EpisodeObserver,
         mut disturber: Option<&mut Disturber>,
     ) -> Result<EpisodeEnd, SessionError> {
         let clock = MonotonicClock::new();
@@ -232,7 +232,7 @@ impl Running<'_> {
     fn between(
         &mut self,
         tick: u64,
-        arms: &PerArm<SeenArm>,
+        arms: &PerArm<ArmObservation>,
         clock: MonotonicClock,
     ) -> Result<Option<(PerArm<Chunk>, u64)>, SessionError> {
         let asked = self.source.answers_between(tick);
@@ -241,7 +241,7 @@ impl Running<'_> {
 
     fn ask(
         &mut self,
-        arms: &PerArm<SeenArm>,
+        arms: &PerArm<ArmObservation>,
         frames: &[FrameRef<'_>],
         clock: MonotonicClock,
     ) -> Result<(PerArm<Chunk>, u64), SessionError> {
@@ -261,9 +261,9 @@ impl Running<'_> {
     fn policy_step(
         &mut self,
         step: u64,
-        arms: &PerArm<SeenArm>,
+        arms: &PerArm<ArmObservation>,
         cameras: &mut Cameras,
-        watcher: &mut dyn Watcher,
+        watcher: &mut dyn EpisodeObserver,
         clock: MonotonicClock,
     ) -> Result<Option<(PerArm<Chunk>, u64)>, SessionError> {
         let every = self.source.query_every_steps().max(1);
@@ -292,8 +292,8 @@ impl Running<'_> {
 }
 
 /// The arms as a policy sees them, unless one was not measured.
-fn seen(measured: &PerArm<Measured>) -> Option<PerArm<SeenArm>> {
-    let arms: Option<Vec<SeenArm>> = measured
+fn seen(measured: &PerArm<Measured>) -> Option<PerArm<ArmObservation>> {
+    let arms: Option<Vec<ArmObservation>> = measured
         .iter()
         .map(|arm| arm.as_ref().ok().map(seen_arm))
         .collect();
@@ -314,7 +314,7 @@ impl Cameras {
     /// The policy's cameras and the watcher's others.
     fn choose(
         source: &ChunkSource,
-        watcher: &dyn Watcher,
+        watcher: &dyn EpisodeObserver,
         simulation: &Simulation,
     ) -> Result<Self, SessionError> {
         let watched = watcher.cameras();

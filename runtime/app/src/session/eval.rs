@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use hal::Chunk;
 use trocar_tasks::cameras::SceneCameras;
 
-use super::episode::{Episode, EpisodeEnd, StepView, Watcher};
+use super::episode::{Episode, EpisodeEnd, EpisodeObserver, StepView};
 use super::keep::{Keep, Keeper, Kept};
 use super::policy_choice::PolicyChoice;
 use super::run::next_simulation;
@@ -185,7 +185,7 @@ struct TrialWatcher<'a> {
     keeper: Option<Keeper<'a>>,
 }
 
-impl Watcher for TrialWatcher<'_> {
+impl EpisodeObserver for TrialWatcher<'_> {
     fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
         match &mut self.keeper {
             Some(keeper) => keeper.step(view),

@@ -9,8 +9,8 @@ use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::Outcome;
 
 use super::ended::Ended;
-use super::episode::{EpisodeEnd, StepView, Watcher};
-use super::pictures::{Pictures, STEP_MS};
+use super::episode::{EpisodeEnd, EpisodeObserver, StepView};
+use super::pictures::{STEP_MS, Thumbnails};
 use super::{Plan, SessionError};
 use trocar_log::{Recorder, TickRecord};
 
@@ -129,11 +129,11 @@ fn draw(
     names: &[String],
     cameras: &mut SceneCameras,
     recorder: &mut Recorder,
-) -> Result<Pictures, SessionError> {
+) -> Result<Thumbnails, SessionError> {
     let which: Vec<usize> = names.iter().filter_map(|name| cameras.find(name)).collect();
     let blank = which.iter().map(|&index| cameras.blank_frame(index));
     let mut frames: Vec<CameraFrame> = blank.collect::<Result<_, _>>()?;
-    let mut pictures = Pictures::default();
+    let mut pictures = Thumbnails::default();
     for (sequence, (stamp, snapshot)) in (0..).zip(steps) {
         cameras.render_all(&which, snapshot, &mut frames)?;
         for (name, frame) in names.iter().zip(&mut frames) {
@@ -147,7 +147,7 @@ fn draw(
     Ok(pictures)
 }
 
-impl Watcher for Keeper<'_> {
+impl EpisodeObserver for Keeper<'_> {
     fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
         let stamp = view.arms.first.state.stamp;
         self.steps.push((stamp, *view.snapshot));

@@ -14,17 +14,17 @@ use super::SessionError;
 
 /// Frames of one camera, kept small.
 #[derive(Debug, Default)]
-pub struct Pictures {
+pub struct Thumbnails {
     frames: Vec<RgbImage>,
 }
 
 /// Time between two policy steps, which is that between two pictures of an animation, ms.
 pub const STEP_MS: u32 = 40;
 
-/// Width of one picture, pixels.
+/// Width of one image, pixels.
 const WIDTH: u32 = 256;
 
-impl Pictures {
+impl Thumbnails {
     /// Keeps a copy of `frame`, scaled down.
     pub fn push(&mut self, frame: &CameraFrame) {
         let (width, height) = (frame.intrinsics.width, frame.intrinsics.height);

@@ -11,7 +11,7 @@ use trocar_tasks::simulation::{Rendering, Simulation};
 use super::episode::Timing;
 use super::latency::Latency;
 use super::policy_choice::PolicyChoice;
-use super::realtime::{CanOptions, Say, run_on_can, run_realtime};
+use super::realtime::{CanOptions, PrintLine, run_on_can, run_realtime};
 use super::robot::warn_of_start;
 use super::run::{RunResult, run_lockstep};
 use super::source::ChunkSource;
@@ -186,7 +186,7 @@ impl Plan {
     ///
     /// # Errors
     /// From the configuration, the policy, the arms, the topics or the log.
-    pub fn run(&self, backend: &Backend, say: Say<'_>) -> Result<RunResult, SessionError> {
+    pub fn run(&self, backend: &Backend, say: PrintLine<'_>) -> Result<RunResult, SessionError> {
         match backend {
             Backend::Lockstep => run_lockstep(self),
             Backend::RealTime => run_realtime(self, say),

@@ -13,7 +13,7 @@ use trocar_tasks::SimulationError;
 use trocar_tasks::task::tissue_material;
 
 use super::SessionError;
-use super::pictures::Pictures;
+use super::pictures::Thumbnails;
 
 /// The group that holds all others; they are seen without it.
 const SKIN: &str = "body";
@@ -40,7 +40,7 @@ pub struct Preview {
     pub groups: Vec<String>,
     /// The file: a GIF, or a PNG with the pictures side by side.
     pub out: PathBuf,
-    /// Side of a picture, pixels.
+    /// Side of an image, pixels.
     pub width: u32,
     /// Pictures of a turn.
     pub frames: u32,
@@ -66,7 +66,7 @@ pub fn draw(preview: &Preview, done: &mut dyn FnMut(u32)) -> Result<(), SessionE
     let mut renderer = Renderer::with_backdrop(&visuals, &backdrop, Shading::Fine)
         .map_err(SimulationError::from)?;
     let poses = vec![Pose::identity(); visuals.len()];
-    let mut pictures = Pictures::default();
+    let mut pictures = Thumbnails::default();
     for index in 0..preview.frames {
         let camera = camera(preview.width, f64::from(index) / f64::from(preview.frames));
         let mut frame = CameraFrame::blank(camera.intrinsics);

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use hal::{CameraFrame, SeenArm, TipTarget};
+use hal::{ArmObservation, CameraFrame, TipTarget};
 use serde::Serialize;
 use trocar_data::dataset::{ArmFrame, CameraSpec, DatasetError, DatasetSpec, Totals, VideoCodec};
 use trocar_data::perception::depth_units;
@@ -10,9 +10,9 @@ use trocar_log::TickRecord;
 use trocar_nets::act_policy::state_numbers;
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::disturbance::Disturber;
-use trocar_tasks::task::{Lie, Outcome, Variation};
+use trocar_tasks::task::{Outcome, PatientPlacement, Variation};
 
-use super::episode::{Episode, StepView, Watcher};
+use super::episode::{Episode, EpisodeObserver, StepView};
 use super::record_failures::{self, Datasets};
 use super::record_notes::{DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, by_hand_note};
 use super::record_page::{EpisodePage, RecordPage};
@@ -84,7 +84,7 @@ pub struct RecordSummary {
     pub scene: Option<String>,
     /// How the patient lies whose organ is the ground, if it is one's.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub patient: Option<Lie>,
+    pub patient: Option<PatientPlacement>,
     /// The cameras whose frames are in the dataset.
     pub cameras: Vec<String>,
     /// Episodes in the dataset.
@@ -453,7 +453,7 @@ struct Diary<'a> {
     stop: &'a (dyn Fn() -> bool + Sync),
 }
 
-impl Watcher for Diary<'_> {
+impl EpisodeObserver for Diary<'_> {
     fn cameras(&self) -> Vec<String> {
         self.cameras.clone()
     }
@@ -487,7 +487,7 @@ impl Watcher for Diary<'_> {
 }
 
 /// What an arm measured and the first target that it was given for it.
-pub(super) fn arm_frame(arm: &SeenArm, target: &TipTarget) -> ArmFrame {
+pub(super) fn arm_frame(arm: &ArmObservation, target: &TipTarget) -> ArmFrame {
     let [x, y, z, i, j, k, w] = target.pose_numbers();
     ArmFrame {
         state: state_numbers(&arm.state),

@@ -4,7 +4,7 @@
 //! An episode waits for its start with its time standing still. It ends with the judge's verdict or with the person's word; what is kept is
 //! drawn afterwards from where everything was at each policy step, so pictures cost the run nothing and none is missing.
 
-use hal::{CameraFrame, PerArm, SeenArm, TipTarget};
+use hal::{ArmObservation, CameraFrame, PerArm, TipTarget};
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::task::Outcome;
 
@@ -14,7 +14,7 @@ use super::record::{
 };
 use super::record_notes::{ByHandNote, EpisodeNote, source};
 use super::run::{INTERRUPTED, RunResult, STOPPED};
-use super::teleop::{self, Moment, Phase, Recording, Wish};
+use super::teleop::{self, DemonstrationStep, EpisodeCommand, Phase, Recording};
 use super::{Plan, SessionError, Setup};
 use crate::console::Console;
 use crate::rt;
@@ -66,7 +66,7 @@ pub fn record_by_hand(
             break;
         }
         let demonstrated = result.demonstration.take().unwrap_or_default();
-        let again = demonstrated.ended == Some(Wish::Redo);
+        let again = demonstrated.ended == Some(EpisodeCommand::Redo);
         let mut demo = studio.draw(&one, options, &result, demonstrated)?;
         // The label of what is done again is kept for the next try.
         if let Some(note) = demo.note.by_hand.as_mut().filter(|_| !again) {
@@ -131,7 +131,7 @@ impl Studio {
         self.cameras.begin_episode(task, plan.seed);
         let steps = demonstrated.moments.len();
         // Whatever else ends an attempt, such as a policy that dies, is no failure of the person's.
-        let failed = demonstrated.ended == Some(Wish::Discard);
+        let failed = demonstrated.ended == Some(EpisodeCommand::Discard);
         let frames = if result.ok || (failed && options.failures.is_some()) {
             let moments = demonstrated.moments.iter();
             let frames = moments.map(|moment| self.frame(moment, options.depth));
@@ -166,7 +166,11 @@ impl Studio {
         })
     }
 
-    fn frame(&mut self, moment: &Moment, depth: bool) -> Result<StoredFrame, SessionError> {
+    fn frame(
+        &mut self,
+        moment: &DemonstrationStep,
+        depth: bool,
+    ) -> Result<StoredFrame, SessionError> {
         for (&camera, frame) in self.wanted.iter().zip(&mut self.frames) {
             self.cameras.render(camera, &moment.scene, frame)?;
         }
@@ -179,7 +183,7 @@ impl Studio {
 
 /// What each arm measured, with the target that whoever drives gave it.
 fn rows(
-    arms: &PerArm<SeenArm>,
+    arms: &PerArm<ArmObservation>,
     targets: &PerArm<TipTarget>,
 ) -> Vec<trocar_data::dataset::ArmFrame> {
     let both = arms.iter().zip(targets.iter());

@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde_json::Value;
 use trocar_data::dataset::VideoCodec;
 use trocar_tasks::disturbance::Disturbance;
-use trocar_tasks::task::{Drawn, Lie, Variation};
+use trocar_tasks::task::{Drawn, PatientPlacement, Variation};
 
 use super::policy_choice::OPERATOR;
 use super::record::{Attempt, RecordOptions};
@@ -31,7 +31,7 @@ struct OptionsNote<'a> {
     view: &'static str,
     needle: Option<&'a str>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    patient: Option<&'a Lie>,
+    patient: Option<&'a PatientPlacement>,
     varied: &'a [Variation],
     disturb: Option<f64>,
     /// `teleop` if a person did them, `intervention` if one took over from a policy, `simulated-operator`; none of the expert's.

@@ -24,12 +24,12 @@ pub(super) struct RecordPage<'a> {
     console: &'a Console,
     /// Whether an episode is shown.
     taken: AtomicBool,
-    news: Mutex<News>,
+    status: Mutex<RecordingStatus>,
 }
 
 /// How far it is.
 #[derive(Debug, Serialize)]
-struct News {
+struct RecordingStatus {
     kind: &'static str,
     kept: usize,
     wanted: usize,
@@ -41,31 +41,31 @@ struct News {
 impl<'a> RecordPage<'a> {
     /// Of a recording that has `kept` episodes of those that are `wanted`.
     pub(super) fn new(console: &'a Console, kept: usize, wanted: usize) -> Self {
-        let news = News {
+        let status = RecordingStatus {
             kind: "recording",
             kept,
             wanted,
             attempts: 0,
             newest: VecDeque::new(),
         };
-        console.tell(&news);
+        console.tell(&status);
         Self {
             console,
             taken: AtomicBool::new(false),
-            news: Mutex::new(news),
+            status: Mutex::new(status),
         }
     }
 
     /// Tells what became of an attempt.
     pub(super) fn tell(&self, attempt: &Attempt) {
-        let mut news = self.news.lock().unwrap_or_else(PoisonError::into_inner);
-        news.attempts += 1;
-        news.kept += usize::from(attempt.kept);
-        if news.newest.len() == ATTEMPTS_MAX {
-            news.newest.pop_front();
+        let mut status = self.status.lock().unwrap_or_else(PoisonError::into_inner);
+        status.attempts += 1;
+        status.kept += usize::from(attempt.kept);
+        if status.newest.len() == ATTEMPTS_MAX {
+            status.newest.pop_front();
         }
-        news.newest.push_back(attempt.clone());
-        self.console.tell(&*news);
+        status.newest.push_back(attempt.clone());
+        self.console.tell(&*status);
     }
 
     /// Shows the episode of `seed`, which begins with `start`, if no other is shown.

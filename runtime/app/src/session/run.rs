@@ -9,8 +9,8 @@ use trocar_tasks::simulation::{Rendering, Simulation};
 use trocar_tasks::task::{Outcome, TaskConfig};
 
 use super::ended::Ended;
-use super::episode::{Episode, StepView, Watcher};
-use super::pictures::Pictures;
+use super::episode::{Episode, EpisodeObserver, StepView};
+use super::pictures::Thumbnails;
 use super::source::ChunkSource;
 use super::summary::RunSummary;
 use super::teleop::Demonstration;
@@ -35,7 +35,7 @@ pub struct RunResult {
     /// The summary.
     pub summary: RunSummary,
     /// Frames of the first camera, empty unless asked for.
-    pub pictures: Pictures,
+    pub pictures: Thumbnails,
     /// Why the log is not whole, if it is not.
     pub log_failure: Option<LogError>,
     /// What a person has demonstrated, if one was to.
@@ -67,7 +67,7 @@ pub fn run_lockstep_with(plan: &Plan, mut source: ChunkSource) -> Result<RunResu
     let mut watcher = RunWatcher {
         recorder: plan.open_log(true)?,
         cameras,
-        pictures: plan.pictures.then(Pictures::default),
+        pictures: plan.pictures.then(Thumbnails::default),
     };
     let timing = plan.timing(plan.seed, &source);
     let episode = Episode {
@@ -115,10 +115,10 @@ pub(super) fn next_simulation(
 struct RunWatcher {
     recorder: Option<Recorder>,
     cameras: Vec<String>,
-    pictures: Option<Pictures>,
+    pictures: Option<Thumbnails>,
 }
 
-impl Watcher for RunWatcher {
+impl EpisodeObserver for RunWatcher {
     fn cameras(&self) -> Vec<String> {
         self.cameras.clone()
     }

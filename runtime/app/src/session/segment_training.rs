@@ -75,7 +75,7 @@ pub struct SegmenterTrained {
 
 /// What is going on.
 #[derive(Clone, Copy, Debug)]
-pub enum TrainingNews {
+pub enum SegmenterProgress {
     /// A patient was made.
     Patient(u64),
     /// Steps taken with the mean loss of the last ones.
@@ -125,7 +125,7 @@ fn plan(options: &SegmentTraining, groups: &Groups) -> (Size, SegmenterSettings,
 /// [`SessionError`]: options that are impossible, a loss that is not finite, a file that can't be written.
 pub fn train(
     options: &SegmentTraining,
-    watch: &mut dyn FnMut(TrainingNews) -> bool,
+    watch: &mut dyn FnMut(SegmenterProgress) -> bool,
 ) -> Result<SegmenterTrained, SessionError> {
     outputs::check(&[("--out", Some(options.out.as_path()))], &[])?;
     if options
@@ -159,7 +159,7 @@ pub fn train(
     let mut scans = Vec::new();
     for index in 0..options.patients {
         scans.push(scan(TRAINING_SEEDS + index, size, &vista));
-        if !watch(TrainingNews::Patient(index + 1)) {
+        if !watch(SegmenterProgress::Patient(index + 1)) {
             return Err(SessionError::Interrupted);
         }
     }
@@ -168,7 +168,7 @@ pub fn train(
         .training
         .run(&config, &settings, &scans, &mut |step, loss| {
             (steps, last) = (step, loss);
-            watch(TrainingNews::Step(step, loss))
+            watch(SegmenterProgress::Step(step, loss))
         })?;
     drop(scans);
     save_segmenter(&options.out, &network, &settings)?;
@@ -207,7 +207,7 @@ fn judge(
     options: &SegmentTraining,
     vista: &Groups,
     size: Size,
-    watch: &mut dyn FnMut(TrainingNews) -> bool,
+    watch: &mut dyn FnMut(SegmenterProgress) -> bool,
 ) -> Result<Vec<GroupScore>, SessionError> {
     let segmenter = Segmenter::own(&options.out, options.training.device)?;
     let classes = Classes::new(segmenter.settings(), &Groups::load(TABLE)?)?;
@@ -216,7 +216,7 @@ fn judge(
         let scan = scan(seed, size, vista);
         let found = classes.groups_of(&classify(&segmenter, &scan)?);
         scores.push(dice(&found, &scan.classes, vista.groups.len()));
-        if !watch(TrainingNews::Judged(seed + 1)) {
+        if !watch(SegmenterProgress::Judged(seed + 1)) {
             break;
         }
     }

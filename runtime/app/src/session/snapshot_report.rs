@@ -3,7 +3,7 @@
 use hal::{ARMS_MAX, Pose, TimeNs};
 use trocar_tasks::scene::{SceneSnapshot, THINGS_MAX};
 use trocar_topics::{
-    FLAP_NODES_MAX, Flap, InstrumentParts, Line, Place, SCENE_ARMS_MAX, SCENE_THINGS_MAX,
+    FLAP_NODES_MAX, Flap, InstrumentParts, Line, PoseMessage, SCENE_ARMS_MAX, SCENE_THINGS_MAX,
     SnapshotReport,
 };
 use trocar_world::ArmBodies;
@@ -31,8 +31,8 @@ pub(super) fn report(
         seed: world.seed,
         wanted: u64::MAX,
         moment_ms: u64::from(scene.moment_ms),
-        things: scene.things.map(|thing| Place::new(&thing)),
-        goal: Place::new(&scene.goal),
+        things: scene.things.map(|thing| PoseMessage::new(&thing)),
+        goal: PoseMessage::new(&scene.goal),
         arm_count: arms.iter().flatten().count() as u64,
         arms: arms.map(Option::unwrap_or_default),
         has_flap: u64::from(scene.flap.is_some()),
@@ -45,11 +45,11 @@ pub(super) fn report(
 
 fn parts(arm: &ArmBodies) -> InstrumentParts {
     InstrumentParts {
-        shaft: Place::new(&arm.shaft),
-        wrist: Place::new(&arm.wrist),
-        finger_left: Place::new(&arm.finger_left),
-        finger_right: Place::new(&arm.finger_right),
-        tip: Place::new(&arm.tip),
+        shaft: PoseMessage::new(&arm.shaft),
+        wrist: PoseMessage::new(&arm.wrist),
+        finger_left: PoseMessage::new(&arm.finger_left),
+        finger_right: PoseMessage::new(&arm.finger_right),
+        tip: PoseMessage::new(&arm.tip),
     }
 }
 
@@ -79,7 +79,7 @@ fn bodies(parts: &InstrumentParts) -> ArmBodies {
         tip,
     } = parts;
     let [shaft, wrist, finger_left, finger_right, tip]: [Pose; 5] =
-        [shaft, wrist, finger_left, finger_right, tip].map(Place::pose);
+        [shaft, wrist, finger_left, finger_right, tip].map(PoseMessage::pose);
     ArmBodies {
         shaft,
         wrist,

@@ -1,6 +1,8 @@
 //! Where chunks come from: the scripted expert, a network, or one of the two policies that must never succeed.
 
-use hal::{ARMS_MAX, ArmState, Chunk, FrameRef, Observation, Policy, SeenArm, TimeNs, TipTarget};
+use hal::{
+    ARMS_MAX, ArmObservation, ArmState, Chunk, FrameRef, Observation, Policy, TimeNs, TipTarget,
+};
 use nalgebra::{Translation3, Vector3};
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_tasks::expert::{Activity, Expert};
@@ -26,8 +28,8 @@ pub const STEP_NS: u64 = STEP_TICKS * hal::TICK_NS;
 
 /// An arm that measured `state`, as a policy sees it.
 #[must_use]
-pub fn seen_arm(state: &ArmState) -> SeenArm {
-    SeenArm {
+pub fn seen_arm(state: &ArmState) -> ArmObservation {
+    ArmObservation {
         state: *state,
         tip_in_rcm: kinematics::forward(&state.position),
     }
@@ -37,7 +39,7 @@ pub fn seen_arm(state: &ArmState) -> SeenArm {
 #[derive(Clone, Copy, Debug)]
 pub struct Query<'a> {
     /// The measured arms.
-    pub arms: PerArm<SeenArm>,
+    pub arms: PerArm<ArmObservation>,
     /// Frames of the cameras in [`ChunkSource::cameras`].
     pub frames: &'a [FrameRef<'a>],
     /// The true state of the scene, of which a robot knows nothing.
@@ -252,11 +254,11 @@ impl ChunkSource {
     /// Whatever the network reports.
     pub fn observe(
         &mut self,
-        arms: &PerArm<SeenArm>,
+        arms: &PerArm<ArmObservation>,
         frames: &[FrameRef<'_>],
     ) -> Result<(), SessionError> {
         if let Self::Policy(observer) = self {
-            let arms: Vec<SeenArm> = arms.iter().copied().collect();
+            let arms: Vec<ArmObservation> = arms.iter().copied().collect();
             let arms = &arms;
             observer.policy.observe(&Observation { arms, frames })?;
         }
@@ -305,7 +307,7 @@ impl ChunkSource {
             Self::Teleop(teleop) => teleop.answer(&query.arms),
             Self::Operator(operator) => operator.answer(&query.arms, seen_scene(query)?),
             Self::Policy(observer) => {
-                let arms: Vec<SeenArm> = query.arms.iter().copied().collect();
+                let arms: Vec<ArmObservation> = query.arms.iter().copied().collect();
                 let observation = Observation {
                     arms: &arms,
                     frames: query.frames,

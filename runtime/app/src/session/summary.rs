@@ -5,7 +5,7 @@ use core::fmt;
 use hal::TimeNs;
 use serde::Serialize;
 use trocar_control::MeasuredClearance;
-use trocar_tasks::task::{Lie, Outcome, Variation};
+use trocar_tasks::task::{Outcome, PatientPlacement, Variation};
 use trocar_world::tissue::TissueExtremes;
 
 use super::Plan;
@@ -238,7 +238,7 @@ pub struct RunSummary {
     pub scene: Option<String>,
     /// How the patient lies whose organ is the ground, if it is one's.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub patient: Option<Lie>,
+    pub patient: Option<PatientPlacement>,
     /// The policy and what it did.
     pub policy: PolicyCounts,
     /// The seed that everything random depends on.
@@ -339,7 +339,7 @@ pub struct EvalSummary {
     pub scene: Option<String>,
     /// How the patient lies whose organ is the ground, if it is one's.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub patient: Option<Lie>,
+    pub patient: Option<PatientPlacement>,
     /// The policy.
     pub policy: String,
     /// The task of the demonstrations that a checkpoint was trained on, if it tells.

@@ -10,7 +10,7 @@ use trocar_data::dataset::Dataset;
 use trocar_nets::act::BackboneNorm;
 use trocar_tasks::simulation::{Rendering, Simulation};
 
-use super::episode::{Episode, EpisodeEnd, Timing, Watcher};
+use super::episode::{Episode, EpisodeEnd, EpisodeObserver, Timing};
 use super::latency::Latency;
 use super::record::{RecordOptions, record};
 use super::scratch::Scratch;
@@ -36,7 +36,7 @@ mod tissue;
 /// Writes the log of an episode without looking at it.
 struct Logger(Recorder);
 
-impl Watcher for Logger {
+impl EpisodeObserver for Logger {
     fn chunk(&mut self, arm: usize, chunk: &Chunk) {
         self.0.chunk(arm, chunk);
     }

@@ -11,8 +11,8 @@ use trocar_train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrec
 
 use super::cloud_file::cloud_recipe;
 use super::training_eval::{Evaluation, Evaluations};
-pub use super::training_news::{OnNews, TrainingNews};
 pub use super::training_options::{CameraChoice, NetworkChoice, TrainingOptions};
+pub use super::training_progress::{OnProgress, TrainingProgress};
 use super::training_recipe::Made;
 use super::training_save::Saver;
 use super::training_watch::{
@@ -66,7 +66,7 @@ pub struct TrainingResult {
 /// dataset, the training or the file system; [`TrainError::Stopped`].
 pub fn train(
     options: &TrainingOptions,
-    on_news: &mut OnNews<'_>,
+    on_progress: &mut OnProgress<'_>,
 ) -> Result<TrainingResult, SessionError> {
     // Whatever is wrong with the options is said before anything is made.
     check(options)?;
@@ -77,7 +77,7 @@ pub fn train(
         stopwatch: Stopwatch::start(0.0),
         evaluations: Vec::new(),
     };
-    train_from(options, start, on_news)
+    train_from(options, start, on_progress)
 }
 
 fn check_act(options: &TrainingOptions) -> Result<(), SessionError> {
@@ -125,7 +125,10 @@ pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {
 /// # Errors
 /// [`SessionError::BadArgument`] if there is no state; otherwise those of [`train`], and [`TrainError::State`] if the
 /// dataset is another one now.
-pub fn resume(folder: &Path, on_news: &mut OnNews<'_>) -> Result<TrainingResult, SessionError> {
+pub fn resume(
+    folder: &Path,
+    on_progress: &mut OnProgress<'_>,
+) -> Result<TrainingResult, SessionError> {
     let (state, about) = read_state(folder)?;
     let options = about.options;
     check(&options).map_err(|error| {
@@ -137,7 +140,7 @@ pub fn resume(folder: &Path, on_news: &mut OnNews<'_>) -> Result<TrainingResult,
         stopwatch: Stopwatch::start(about.seconds),
         evaluations: about.evaluations,
     };
-    train_from(&options, start, on_news)
+    train_from(&options, start, on_progress)
 }
 
 /// Where a training starts from.
@@ -172,14 +175,16 @@ impl Start {
 fn train_from(
     options: &TrainingOptions,
     start: Start,
-    on_news: &mut OnNews<'_>,
+    on_progress: &mut OnProgress<'_>,
 ) -> Result<TrainingResult, SessionError> {
     rt::catch_interrupts().map_err(SessionError::signals)?;
     let dataset = training_data::open(options)?;
     let result = match options.network {
-        NetworkChoice::Act => train_act(options, &dataset, &start, on_news),
-        NetworkChoice::ActPc => training_clouds::train_act_pc(options, &dataset, &start, on_news),
-        NetworkChoice::Dp3 => training_clouds::train_dp3(options, &dataset, &start, on_news),
+        NetworkChoice::Act => train_act(options, &dataset, &start, on_progress),
+        NetworkChoice::ActPc => {
+            training_clouds::train_act_pc(options, &dataset, &start, on_progress)
+        }
+        NetworkChoice::Dp3 => training_clouds::train_dp3(options, &dataset, &start, on_progress),
     }?;
     remove_state(&options.out)?;
     Ok(result)
@@ -197,7 +202,7 @@ fn train_act(
     options: &TrainingOptions,
     dataset: &Dataset,
     start: &Start,
-    on_news: &mut OnNews<'_>,
+    on_progress: &mut OnProgress<'_>,
 ) -> Result<TrainingResult, SessionError> {
     let preset = parse_preset(&options.preset)?;
     let train_options = train_options(options, preset);
@@ -211,7 +216,7 @@ fn train_act(
         query_every_steps: query_every(options, QUERY_EVERY_STEPS, config.chunk_size)?,
     };
     let saver = start.saver(options, train_options, dataset, made, None);
-    conduct(&saver, start, on_news, &mut |watcher| {
+    conduct(&saver, start, on_progress, &mut |watcher| {
         let trained = start
             .trainer
             .run(&config, &train_options, dataset, watcher)?;
@@ -220,13 +225,13 @@ fn train_act(
 }
 
 /// Says what is learned from, and in how many steps.
-fn note_data(dataset: &Dataset, steps: u64, on_news: &mut OnNews<'_>) {
+fn note_data(dataset: &Dataset, steps: u64, on_progress: &mut OnProgress<'_>) {
     let mut learned_from = training_data::described(dataset);
     if let Some(whole) = learned_from.last_mut() {
         *whole += &format!("; {steps} steps");
     }
     for line in &learned_from {
-        on_news(&TrainingNews::Note(line));
+        on_progress(&TrainingProgress::Note(line));
     }
 }
 
@@ -234,13 +239,13 @@ fn note_data(dataset: &Dataset, steps: u64, on_news: &mut OnNews<'_>) {
 pub(super) fn conduct(
     saver: &Saver<'_>,
     start: &Start,
-    on_news: &mut OnNews<'_>,
+    on_progress: &mut OnProgress<'_>,
     run: &mut dyn FnMut(&mut Watcher<'_>) -> Result<AnyTrained, TrainError>,
 ) -> Result<TrainingResult, SessionError> {
     let (dataset, steps) = (saver.dataset, saver.train_options.steps);
     let evaluations = Evaluations::new(saver.options, dataset, start.evaluations.clone())?;
-    note_data(dataset, steps, on_news);
-    let mut watcher = Watcher::new(saver, evaluations, on_news);
+    note_data(dataset, steps, on_progress);
+    let mut watcher = Watcher::new(saver, evaluations, on_progress);
     let trained = run(&mut watcher)?;
     let out = &saver.options.out;
     saver.save(out, &trained)?;

@@ -14,7 +14,8 @@ use trocar_train::{AnyTrained, Augmentation, TrainOptions, TrainPrecision};
 use super::SessionError;
 use super::cloud_file::cloud_recipe;
 use super::training::{
-    OnNews, Start, TrainingOptions, TrainingResult, as_wanted, cameras, conduct, query_every, sound,
+    OnProgress, Start, TrainingOptions, TrainingResult, as_wanted, cameras, conduct, query_every,
+    sound,
 };
 use super::training_recipe::Made;
 
@@ -39,7 +40,7 @@ pub(super) fn train_dp3(
     options: &TrainingOptions,
     dataset: &Dataset,
     start: &Start,
-    on_news: &mut OnNews<'_>,
+    on_progress: &mut OnProgress<'_>,
 ) -> Result<TrainingResult, SessionError> {
     let preset = dp3_preset(&options.preset)?;
     let numbers = dimension(RELATIVE_ACTION_DIM * dataset.arms());
@@ -53,7 +54,7 @@ pub(super) fn train_dp3(
         query_every_steps: query_every(options, count_u32(length(steps)), steps)?,
     };
     let saver = start.saver(options, train_options, dataset, made, Some(cloud.clone()));
-    conduct(&saver, start, on_news, &mut |watcher| {
+    conduct(&saver, start, on_progress, &mut |watcher| {
         let trainer = &start.trainer;
         let trained = trainer.run_dp3(&config, &cloud, &train_options, dataset, watcher)?;
         Ok(AnyTrained::Dp3(trained.into()))
@@ -192,7 +193,7 @@ pub(super) fn train_act_pc(
     options: &TrainingOptions,
     dataset: &Dataset,
     start: &Start,
-    on_news: &mut OnNews<'_>,
+    on_progress: &mut OnProgress<'_>,
 ) -> Result<TrainingResult, SessionError> {
     let (preset, train_options) = act_pc_options(options)?;
     let (config, cloud) = act_pc_config(options, preset, dataset)?;
@@ -206,7 +207,7 @@ pub(super) fn train_act_pc(
         query_every_steps: query_every(options, count_u32(length(steps / 2)), steps)?,
     };
     let saver = start.saver(options, train_options, dataset, made, Some(cloud.clone()));
-    conduct(&saver, start, on_news, &mut |watcher| {
+    conduct(&saver, start, on_progress, &mut |watcher| {
         let trainer = &start.trainer;
         let trained = trainer.run_act_pc(&config, &cloud, &train_options, dataset, watcher)?;
         Ok(AnyTrained::ActPc(trained.into()))

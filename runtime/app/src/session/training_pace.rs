@@ -14,7 +14,7 @@ const STEADY: (u64, f64) = (10, 30.0);
 
 /// Where a training stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Standing {
+pub struct TrainingStatus {
     /// Steps done.
     pub step: u64,
     /// Steps of the whole training.
@@ -45,7 +45,7 @@ fn write_row(f: &mut fmt::Formatter<'_>, row: &CurveRow) -> fmt::Result {
     }
 }
 
-impl fmt::Display for Standing {
+impl fmt::Display for TrainingStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
@@ -115,14 +115,14 @@ impl Pace {
         loss: (f64, Option<CurveRow>),
         seconds: f64,
         asides_left: u64,
-    ) -> Standing {
+    ) -> TrainingStatus {
         let now = (step, seconds - self.aside.0);
         if loss.1.is_some() {
             let first = self.rows.map_or(now, |[first, _]| first);
             self.rows = Some([first, now]);
         }
         self.measure(now);
-        Standing {
+        TrainingStatus {
             step,
             steps,
             seconds,
@@ -172,7 +172,7 @@ impl Pace {
     }
 
     /// What to say, once, of a training that still takes more than a day.
-    pub(super) fn warning(&mut self, standing: &Standing) -> Option<String> {
+    pub(super) fn warning(&mut self, standing: &TrainingStatus) -> Option<String> {
         let (first, since) = self.first?;
         let now = standing.seconds - self.aside.0;
         let steady =
@@ -199,7 +199,7 @@ const fn number(count: u64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Pace, Standing};
+    use super::{Pace, TrainingStatus};
     use trocar_train::CurveRow;
 
     fn row(step: u64) -> CurveRow {
@@ -214,7 +214,7 @@ mod tests {
         }
     }
 
-    fn at(pace: &mut Pace, step: u64, seconds: f64) -> Standing {
+    fn at(pace: &mut Pace, step: u64, seconds: f64) -> TrainingStatus {
         pace.standing((step, 400), (1.0, Some(row(step))), seconds, 0)
     }
 

@@ -5,15 +5,17 @@ use std::{fs, io};
 
 use hal::TimeNs;
 use serde::{Deserialize, Serialize};
-use trocar_train::{AnyTrained, CurveRow, LossCurve, Progress, RunState, TrainError, Watch};
+use trocar_train::{
+    AnyTrained, CurveRow, LossCurve, Progress, RunState, TrainError, TrainingObserver,
+};
 
 use super::SessionError;
 use super::score::Score;
 use super::tensorboard::EventFile;
 use super::training::TrainingOptions;
 use super::training_eval::{BEST, Evaluation, Evaluations};
-use super::training_news::{OnNews, TrainingNews};
 use super::training_pace::Pace;
+use super::training_progress::{OnProgress, TrainingProgress};
 use super::training_save::Saver;
 use crate::rt::{self, MonotonicClock};
 
@@ -101,7 +103,7 @@ const REPORT_EVERY_S: f64 = 0.5;
 pub(super) struct Watcher<'a> {
     saver: &'a Saver<'a>,
     pub(super) evaluations: Option<Evaluations>,
-    on_news: &'a mut OnNews<'a>,
+    on_progress: &'a mut OnProgress<'a>,
     pub(super) pace: Pace,
     events: Option<EventFile>,
     /// When a step was reported the last time, s.
@@ -112,12 +114,12 @@ impl<'a> Watcher<'a> {
     pub(super) fn new(
         saver: &'a Saver<'a>,
         evaluations: Option<Evaluations>,
-        on_news: &'a mut OnNews<'a>,
+        on_progress: &'a mut OnProgress<'a>,
     ) -> Self {
         Self {
             saver,
             evaluations,
-            on_news,
+            on_progress,
             pace: Pace::new(saver.train_options.batch),
             events: None,
             reported_s: None,
@@ -129,7 +131,7 @@ impl<'a> Watcher<'a> {
     }
 
     fn note(&mut self, line: &str) {
-        (self.on_news)(&TrainingNews::Note(line));
+        (self.on_progress)(&TrainingProgress::Note(line));
     }
 
     fn begin(&mut self, step: u64, seconds: f64) {
@@ -145,7 +147,7 @@ impl<'a> Watcher<'a> {
         self.events = None;
         let folder = self.out().display();
         let line = format!("{folder}: nothing more is written for TensorBoard: {error}");
-        (self.on_news)(&TrainingNews::Warning(&line));
+        (self.on_progress)(&TrainingProgress::Warning(&line));
     }
 
     fn scalars(&mut self, step: u64, scalars: &[(&str, f64)]) {
@@ -174,9 +176,9 @@ impl<'a> Watcher<'a> {
             scalars.extend(row.validation_l1.map(|l1| ("validation/l1", l1)));
             self.scalars(row.step, &scalars);
         }
-        (self.on_news)(&TrainingNews::Standing(&standing));
+        (self.on_progress)(&TrainingProgress::Status(&standing));
         if let Some(line) = self.pace.warning(&standing) {
-            (self.on_news)(&TrainingNews::Warning(&line));
+            (self.on_progress)(&TrainingProgress::Warning(&line));
         }
     }
 
@@ -187,7 +189,7 @@ impl<'a> Watcher<'a> {
             return Ok(());
         };
         let save = |folder: &Path| saver.save(folder, trained);
-        let row = evaluations.run(step, &save, &mut trial_news(&mut *self.on_news))?;
+        let row = evaluations.run(step, &save, &mut trial_progress(&mut *self.on_progress))?;
         let best = evaluations.best();
         let seconds = saver.stopwatch.seconds() - before;
         self.pace.aside(seconds);
@@ -219,11 +221,11 @@ impl<'a> Watcher<'a> {
     }
 }
 
-impl Watch for Watcher<'_> {
+impl TrainingObserver for Watcher<'_> {
     fn progress(&mut self, progress: &Progress) {
         let seconds = self.saver.stopwatch.seconds();
         match *progress {
-            Progress::Read { frames, of } => (self.on_news)(&TrainingNews::Reading {
+            Progress::Read { frames, of } => (self.on_progress)(&TrainingProgress::Reading {
                 frames,
                 of,
                 seconds,
@@ -296,10 +298,12 @@ pub(super) fn write_curve(folder: &Path, curve: &LossCurve) -> Result<(), Sessio
     Ok(())
 }
 
-/// Makes news of the trials of an evaluation.
-fn trial_news<'a>(on_news: &'a mut OnNews<'_>) -> impl FnMut(u64, usize, usize, Score) + 'a {
+/// Makes progress events of the trials of an evaluation.
+fn trial_progress<'a>(
+    on_progress: &'a mut OnProgress<'_>,
+) -> impl FnMut(u64, usize, usize, Score) + 'a {
     |step, trials, of, score| {
-        on_news(&TrainingNews::Evaluating {
+        on_progress(&TrainingProgress::Evaluating {
             step,
             trials,
             of,

@@ -3,7 +3,7 @@
 use hal::TimeNs;
 use trocar_tasks::scene::{ArmScene, SceneState};
 use trocar_tasks::task::Outcome;
-use trocar_topics::{Line, Place, SceneArm, SceneReport, SceneTissue, Verdict};
+use trocar_topics::{Line, PoseMessage, SceneArm, SceneReport, SceneTissue, Verdict};
 use trocar_world::Grasp;
 use trocar_world::tissue::TissueExtremes;
 
@@ -70,7 +70,7 @@ pub(super) fn report(
             .scene
             .goal_in_scene
             .as_ref()
-            .map(Place::new)
+            .map(PoseMessage::new)
             .unwrap_or_default(),
         has_tissue: u64::from(state.tissue.is_some()),
         tissue: SceneTissue {
@@ -86,8 +86,8 @@ pub(super) fn report(
 
 fn scene_arm(arm: &ArmScene) -> SceneArm {
     SceneArm {
-        tip_in_rcm: Place::new(&arm.tip_in_rcm),
-        thing_in_rcm: Place::new(&arm.thing_in_rcm),
+        tip_in_rcm: PoseMessage::new(&arm.tip_in_rcm),
+        thing_in_rcm: PoseMessage::new(&arm.thing_in_rcm),
         jaw: arm.jaw,
         finger_force_n: [arm.grasp.left_force_n, arm.grasp.right_force_n],
         penetration_m: arm.grasp.penetration_m,

@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 
 use hal::TimeNs;
 
-/// Time between two looks at the memory.
+/// Polling period for the memory.
 const EVERY_NS: u64 = 3_000_000_000;
 
 /// The names of GPUs by what `CUDA_VISIBLE_DEVICES` calls them; none where there is no `nvidia-smi`.

@@ -19,12 +19,12 @@ use super::estimate::Durations;
 use super::gpu::{self, MemoryWatch};
 use super::job::Kind;
 use super::plan::{Cell, Plan};
-use super::schedule::{Grant, Machine, Pool};
+use super::schedule::{Allocation, Machine, Pool};
 use super::store::Attempts;
 use super::work::Workshop;
 use crate::rt::{self, MonotonicClock};
 
-/// Time between two looks at the children.
+/// Polling period for the children.
 const LOOK_NS: u64 = 50_000_000;
 
 /// Time after which a cell that another process works on is looked at again.
@@ -73,7 +73,7 @@ impl Status {
 struct Work {
     cell: usize,
     running: Running,
-    grant: Grant,
+    grant: Allocation,
     lock: File,
     input: Option<File>,
     begun: TimeNs,

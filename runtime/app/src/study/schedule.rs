@@ -15,9 +15,9 @@ pub struct Machine {
     pub gpus: Vec<String>,
 }
 
-/// What a cell takes.
+/// Resources that a cell needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Need {
+pub struct ResourceRequest {
     /// Cores.
     pub cores: usize,
     /// Shares of one GPU.
@@ -35,7 +35,7 @@ pub enum Whole {
     Evaluations,
 }
 
-impl Need {
+impl ResourceRequest {
     /// Of `job`, on a machine with `cores`.
     #[must_use]
     pub fn of(job: &Job, file: &StudyFile, cores: usize) -> Self {
@@ -72,7 +72,7 @@ const fn gpu_share(kind: Kind, run: &RunSection) -> usize {
 
 /// How many cells of such a need run at a time.
 #[must_use]
-pub fn at_a_time(need: Need, machine: &Machine) -> usize {
+pub fn at_a_time(need: ResourceRequest, machine: &Machine) -> usize {
     let by_cores = machine.cores.max(1) / need.cores.max(1);
     if need.gpu == 0 {
         return by_cores.max(1);
@@ -82,10 +82,10 @@ pub fn at_a_time(need: Need, machine: &Machine) -> usize {
         .max(1)
 }
 
-/// What was taken for a cell.
+/// Resources allocated to a cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Grant {
-    need: Need,
+pub struct Allocation {
+    need: ResourceRequest,
     /// Which GPU.
     gpu: Option<usize>,
 }
@@ -98,9 +98,9 @@ pub struct Pool {
     gpus: Vec<(String, [usize; 2])>,
 }
 
-/// Why something is not to be had now.
+/// Why resources are not available now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Busy {
+pub enum Unavailable {
     /// Too few cores are free.
     Cores,
     /// No GPU has room.
@@ -124,26 +124,26 @@ impl Pool {
     /// Takes `need`, from the GPU with the most room.
     ///
     /// # Errors
-    /// [`Busy`], and nothing was taken.
-    pub fn take(&mut self, need: Need) -> Result<Grant, Busy> {
+    /// [`Unavailable`], and nothing was taken.
+    pub fn take(&mut self, need: ResourceRequest) -> Result<Allocation, Unavailable> {
         if need.cores > self.cores {
-            return Err(Busy::Cores);
+            return Err(Unavailable::Cores);
         }
         let mut gpu = None;
         if need.gpu > 0 {
             let roomy = self.gpus.iter_mut().enumerate().rev();
             let of = need.of as usize;
             let roomiest = roomy.max_by_key(|(_, (_, free))| free[of]);
-            let (index, (_, free)) = roomiest.ok_or(Busy::Gpu)?;
-            free[of] = free[of].checked_sub(need.gpu).ok_or(Busy::Gpu)?;
+            let (index, (_, free)) = roomiest.ok_or(Unavailable::Gpu)?;
+            free[of] = free[of].checked_sub(need.gpu).ok_or(Unavailable::Gpu)?;
             gpu = Some(index);
         }
         self.cores -= need.cores;
-        Ok(Grant { need, gpu })
+        Ok(Allocation { need, gpu })
     }
 
     /// Gives back what was taken.
-    pub fn give(&mut self, grant: &Grant) {
+    pub fn give(&mut self, grant: &Allocation) {
         self.cores += grant.need.cores;
         let gpu = grant.gpu.and_then(|index| self.gpus.get_mut(index));
         if let Some((_, free)) = gpu {
@@ -153,7 +153,7 @@ impl Pool {
 
     /// The name of the GPU of `grant`.
     #[must_use]
-    pub fn gpu_name(&self, grant: &Grant) -> Option<&str> {
+    pub fn gpu_name(&self, grant: &Allocation) -> Option<&str> {
         let gpu = grant.gpu.and_then(|index| self.gpus.get(index))?;
         Some(&gpu.0)
     }
@@ -170,8 +170,8 @@ mod tests {
         }
     }
 
-    fn need(cores: usize, gpu: usize) -> Need {
-        Need {
+    fn need(cores: usize, gpu: usize) -> ResourceRequest {
+        ResourceRequest {
             cores,
             gpu,
             of: Whole::Trainings,
@@ -182,16 +182,16 @@ mod tests {
     fn trainings_spread_over_gpus_and_share_them() {
         let mut pool = Pool::new(&machine());
         let need = need(1, WHOLE_GPU / 3);
-        let grants: Vec<Grant> = (0..6).map(|_| pool.take(need).unwrap()).collect();
+        let grants: Vec<Allocation> = (0..6).map(|_| pool.take(need).unwrap()).collect();
         let names: Vec<_> = grants
             .iter()
             .map(|grant| pool.gpu_name(grant).unwrap())
             .collect();
         assert_eq!(names, ["0", "1", "0", "1", "0", "1"]);
-        assert_eq!(pool.take(need), Err(Busy::Gpu));
+        assert_eq!(pool.take(need), Err(Unavailable::Gpu));
         assert_eq!(at_a_time(need, &machine()), 6);
         // Evaluations do not wait for them.
-        let evaluation = Need {
+        let evaluation = ResourceRequest {
             cores: 1,
             gpu: WHOLE_GPU,
             of: Whole::Evaluations,
@@ -206,7 +206,7 @@ mod tests {
     fn what_is_not_free_is_not_taken() {
         let mut pool = Pool::new(&machine());
         let wide = pool.take(need(6, 0)).unwrap();
-        assert_eq!(pool.take(need(3, 0)), Err(Busy::Cores));
+        assert_eq!(pool.take(need(3, 0)), Err(Unavailable::Cores));
         let narrow = pool.take(need(2, WHOLE_GPU)).unwrap();
         pool.give(&wide);
         pool.give(&narrow);
@@ -215,6 +215,6 @@ mod tests {
             cores: 1,
             gpus: Vec::new(),
         };
-        assert_eq!(Pool::new(&none).take(need(1, 1)), Err(Busy::Gpu));
+        assert_eq!(Pool::new(&none).take(need(1, 1)), Err(Unavailable::Gpu));
     }
 }

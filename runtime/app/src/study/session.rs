@@ -9,7 +9,7 @@ use super::job::{Job, Kind};
 use super::materials::{Materials, code_of};
 use super::plan::{Cell, Plan, Shard};
 use super::run::{self, Outcome};
-use super::schedule::{Machine, Need, at_a_time};
+use super::schedule::{Machine, ResourceRequest, at_a_time};
 use super::store::{State, Store};
 use super::work::Workshop;
 use super::{StudyError, expand, scenes};
@@ -142,7 +142,7 @@ impl Study {
                 State::Missing => "to do".to_owned(),
             };
             lines.push(line(kind, address.short(), &cell.label, &state));
-            let need = Need::of(&cell.job, &self.file, self.options.machine.cores);
+            let need = ResourceRequest::of(&cell.job, &self.file, self.options.machine.cores);
             #[expect(clippy::cast_precision_loss, reason = "a few hundred at most")]
             let at_a_time = at_a_time(need, &self.options.machine) as f64;
             left.push(Left {

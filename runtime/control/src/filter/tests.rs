@@ -4,7 +4,7 @@ use super::{Filter, Filtered};
 use crate::Deviation;
 use crate::active_set::VARIABLES_MAX;
 use crate::config::ControlConfig;
-use crate::instrument::Stance;
+use crate::instrument::KinematicState;
 use crate::motion::{AXES, JAW, MotionState};
 use crate::report::QpOutcome;
 use crate::rows::tests::{fill, two_arms};
@@ -17,7 +17,7 @@ struct Case {
     config: ControlConfig,
     filter: Filter,
     rows: Rows,
-    stances: Vec<Stance>,
+    stances: Vec<KinematicState>,
     random: SplitMix64,
 }
 
@@ -63,7 +63,7 @@ impl Case {
     }
 
     fn filter(&mut self, nominal: &Velocities) -> Filtered {
-        let stances: Vec<&Stance> = self.stances.iter().collect();
+        let stances: Vec<&KinematicState> = self.stances.iter().collect();
         self.filter.filter(nominal, &self.rows, &stances)
     }
 }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::clearance::{Boundaries, CLEARANCES, Clearances, FACES};
 use super::gaps::{Gaps, KINDS};
 use crate::config::{ControlConfig, FORBIDDEN_MAX};
-use crate::instrument::{LINKS, Link, Stance};
+use crate::instrument::{KinematicState, LINKS, Link};
 use crate::motion::MotionState;
 
 /// The workspace, then each region.
@@ -125,7 +125,7 @@ impl NearestOfArm {
 pub fn beyond(config: &ControlConfig, states: &[ArmState]) -> Vec<MeasuredClearance> {
     let arms = config.arms.iter().zip(states).enumerate();
     let all = arms.flat_map(|(index, (arm, state))| {
-        let stance = Stance::new(&MotionState::at_rest(state));
+        let stance = KinematicState::new(&MotionState::at_rest(state));
         let boundaries = Boundaries::new(arm);
         let mut nearest = NearestOfArm::new();
         nearest.add(&boundaries.clearances(&stance.instrument, &[true; CLEARANCES]));

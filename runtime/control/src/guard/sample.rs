@@ -1,7 +1,7 @@
 //! One moment of a stop. Hot path: bounded, no allocation, no I/O, no lock.
 
 use super::clearance::{Boundaries, Clearances, Wanted};
-use crate::instrument::{Instrument, Stance};
+use crate::instrument::{Instrument, KinematicState};
 use crate::motion::{Axes, JAW, MotionState};
 
 /// One moment of a stop.
@@ -20,7 +20,7 @@ pub(super) struct Sample {
 impl Sample {
     /// The arm in `state` among `boundaries`.
     pub(super) fn new(state: &MotionState, boundaries: &Boundaries, wanted: &Wanted) -> Self {
-        let stance = Stance::new(state);
+        let stance = KinematicState::new(state);
         let twist = stance.frames.tip_jacobian() * state.joint_velocity();
         Self {
             clearances: boundaries.clearances(&stance.instrument, wanted),

@@ -8,7 +8,7 @@ use super::{Row, RowInput, Rows, approach_bound};
 use crate::active_set::VARIABLES_MAX;
 use crate::config::{BetweenArms, ControlConfig};
 use crate::distance::between_segments;
-use crate::instrument::{Link, Stance};
+use crate::instrument::{KinematicState, Link};
 use crate::motion::AXES;
 
 /// Which links are kept apart, the first arm's and the second's; the tips may meet.
@@ -62,7 +62,13 @@ pub(super) fn links(
 }
 
 /// How fast the place of `link` moves in the direction `towards` (RCM frame) per velocity of each axis.
-fn moving(entries: &mut [f64], stance: &Stance, link: Link, fraction: f64, towards: &Vector3<f64>) {
+fn moving(
+    entries: &mut [f64],
+    stance: &KinematicState,
+    link: Link,
+    fraction: f64,
+    towards: &Vector3<f64>,
+) {
     let (from_m, to_m) = stance.instrument.links()[link as usize];
     let point_m = from_m + (to_m - from_m) * fraction;
     let along = towards.transpose() * stance.point_jacobian(link, &point_m, fraction);

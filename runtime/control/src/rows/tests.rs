@@ -4,7 +4,7 @@ use super::{ARMS_MAX, GEOMETRY_MAX, RowInput, Rows, dot};
 use crate::Deviation;
 use crate::active_set::VARIABLES_MAX;
 use crate::config::ControlConfig;
-use crate::instrument::Stance;
+use crate::instrument::KinematicState;
 use crate::motion::{AXES, MotionState};
 use hal::config::Source;
 use hal::random::SplitMix64;
@@ -34,8 +34,12 @@ pub(crate) fn random_state(random: &mut SplitMix64, config: &ControlConfig) -> M
     }
 }
 
-pub(crate) fn fill(rows: &mut Rows, config: &ControlConfig, states: &[MotionState]) -> Vec<Stance> {
-    let stances: Vec<Stance> = states.iter().map(Stance::new).collect();
+pub(crate) fn fill(
+    rows: &mut Rows,
+    config: &ControlConfig,
+    states: &[MotionState],
+) -> Vec<KinematicState> {
+    let stances: Vec<KinematicState> = states.iter().map(KinematicState::new).collect();
     let inputs: Vec<RowInput<'_>> = states
         .iter()
         .zip(&stances)
@@ -120,7 +124,7 @@ fn slower_pace_lowers_every_speed() {
         velocity: [0.0; AXES],
         ..random_state(&mut random, &config)
     });
-    let stances = states.each_ref().map(Stance::new);
+    let stances = states.each_ref().map(KinematicState::new);
     let input = |arm: usize, moves: bool, pace: f64| RowInput {
         state: &states[arm],
         stance: &stances[arm],

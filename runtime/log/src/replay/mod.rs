@@ -35,14 +35,14 @@ pub struct ReplayResult {
     /// Where the replay left the log.
     pub first_difference: Option<Difference>,
     /// What Clarabel says to the filter's answers.
-    pub second_opinion: SecondOpinion,
+    pub second_opinion: ReferenceComparison,
     /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
     pub cut: Option<String>,
 }
 
 /// How the filter's answers compare with Clarabel's at a tolerance of 1e-10.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct SecondOpinion {
+pub struct ReferenceComparison {
     /// Problems that were solved again.
     pub problems: u64,
     /// Of these, problems that Clarabel did not solve to that tolerance.
@@ -51,7 +51,7 @@ pub struct SecondOpinion {
     pub largest_difference: f64,
 }
 
-impl SecondOpinion {
+impl ReferenceComparison {
     fn ask(&mut self, controller: &AnyController) {
         let problem = controller.problem();
         self.problems += 1;
@@ -231,7 +231,7 @@ struct Recomputed {
     prefixes: Vec<String>,
     hash: CommandHash,
     inputs: InputHash,
-    second_opinion: SecondOpinion,
+    second_opinion: ReferenceComparison,
 }
 
 impl Recomputed {
@@ -251,7 +251,7 @@ impl Recomputed {
             controller,
             hash: CommandHash::new(),
             inputs: InputHash::new(),
-            second_opinion: SecondOpinion::default(),
+            second_opinion: ReferenceComparison::default(),
         })
     }
 

@@ -2,7 +2,7 @@
 
 use hal::{ArmError, ArmState, JointVector, TimeNs};
 
-use super::scene::{HOME, Scene, Told, all_broken};
+use super::scene::{CommandSample, HOME, Scene, all_broken};
 use crate::Stream;
 use crate::differences::AXES;
 
@@ -26,7 +26,7 @@ fn with_floor() -> Scene {
 fn measured_deeper(scene: &Scene, deeper_m: &[f64]) -> Stream {
     let mut stream = scene.stream();
     for (tick, &deeper_m) in (0..).zip(deeper_m) {
-        let mut told = Told::powered(tick, &closed(0.0));
+        let mut told = CommandSample::powered(tick, &closed(0.0));
         let [joints @ .., jaw] = closed(deeper_m);
         let stamp = TimeNs::from_tick(tick);
         told.measured = Ok(ArmState::at_rest(stamp, JointVector::from(joints), jaw));
@@ -94,9 +94,9 @@ fn the_workspace_holds_the_measured_points_too() {
 fn an_arm_without_torque_or_measurement_is_not_looked_at() {
     let scene = with_floor();
     let mut stream = scene.stream();
-    let mut told = Told::limp(0, &closed(0.01));
+    let mut told = CommandSample::limp(0, &closed(0.01));
     stream.tick(0, &[told.pair()]);
-    told = Told::powered(1, &closed(0.0));
+    told = CommandSample::powered(1, &closed(0.0));
     told.measured = Err(ArmError::MeasurementLost { age_ns: 60_000_000 });
     stream.tick(1, &[told.pair()]);
     assert!(stream.measured().is_empty(), "{:?}", stream.measured());
@@ -110,7 +110,7 @@ fn two_measured_arms_keep_their_gap() {
     let run = |yaw: f64| {
         let mut stream = scene.stream();
         for tick in 0..3 {
-            let first = Told::powered(tick, &HOME);
+            let first = CommandSample::powered(tick, &HOME);
             let mut second = first;
             if tick > 0 {
                 let state = second.measured.as_mut().unwrap();

@@ -5,7 +5,7 @@ use core::f64::consts::{PI, TAU};
 
 use hal::psm::{RCC_M, TOOL_M, WRIST_M};
 
-use super::scene::{HOME, NAMES, Scene, Told, broken};
+use super::scene::{CommandSample, HOME, NAMES, Scene, broken};
 use crate::differences::AXES;
 
 /// How long a sweep takes, in ticks and s.
@@ -86,7 +86,7 @@ fn the_velocity_that_goes_to_the_drives_is_caught_alone() {
             scene.axes[axis][2] = 0.5;
             let mut stream = scene.stream();
             for tick in 0..5 {
-                let mut told = Told::powered(tick, &HOME);
+                let mut told = CommandSample::powered(tick, &HOME);
                 match told.command.velocity.get_mut(axis) {
                     Some(joint) => *joint = velocity,
                     None => told.command.jaw_velocity = velocity,
@@ -137,7 +137,7 @@ fn a_limp_arm_that_is_told_to_move_is_caught() {
         let run = |offset: f64, velocity: f64| {
             let mut stream = Scene::loose(1).stream();
             for tick in 0..5 {
-                let mut told = Told::limp(tick, &HOME);
+                let mut told = CommandSample::limp(tick, &HOME);
                 let command = &mut told.command;
                 match command.position.get_mut(axis) {
                     Some(joint) => *joint += offset,
@@ -167,7 +167,7 @@ fn the_worst_of_every_limit_is_told_with_its_tick() {
     scene.axes[3][2] = 1.0;
     let mut stream = scene.stream();
     for (place, tick) in sweep(3, 0.03).iter().zip(0..) {
-        stream.tick(tick, &[Told::powered(tick, place).pair()]);
+        stream.tick(tick, &[CommandSample::powered(tick, place).pair()]);
     }
     let worst: Vec<_> = stream.worst().collect();
     let of = |name: &str| worst.iter().find(|worst| worst.limit == name).unwrap();

@@ -4,7 +4,7 @@ use hal::{JointVector, Pose};
 use nalgebra::{Translation3, UnitQuaternion};
 
 use super::distances::{sampled, to_segment};
-use super::scene::{HOME, Random, Scene, Told, broken};
+use super::scene::{CommandSample, HOME, Random, Scene, broken};
 use crate::Stream;
 use crate::chain::{Instrument, LINK_NAMES};
 use crate::differences::AXES;
@@ -19,7 +19,7 @@ fn scene() -> Scene {
     scene
 }
 
-fn tick(stream: &mut Stream, tick: u64, told: [Told; 2]) {
+fn tick(stream: &mut Stream, tick: u64, told: [CommandSample; 2]) {
     stream.tick(tick, &[told[0].pair(), told[1].pair()]);
 }
 
@@ -27,7 +27,9 @@ fn both(stream: &mut Stream, at: u64, places: &[[f64; AXES]; 2]) {
     tick(
         stream,
         at,
-        places.each_ref().map(|place| Told::powered(at, place)),
+        places
+            .each_ref()
+            .map(|place| CommandSample::powered(at, place)),
     );
 }
 
@@ -157,11 +159,11 @@ fn an_arm_without_torque_that_is_pushed_moves_the_bound() {
         let mut stream = scene.stream();
         for (place, at) in first.iter().zip(0..) {
             let one = if at < limp_until {
-                Told::limp(at, place)
+                CommandSample::limp(at, place)
             } else {
-                Told::powered(at, place)
+                CommandSample::powered(at, place)
             };
-            tick(&mut stream, at, [one, Told::powered(at, &home)]);
+            tick(&mut stream, at, [one, CommandSample::powered(at, &home)]);
         }
         broken(&stream)
     };
@@ -195,7 +197,10 @@ fn an_arm_with_torque_may_not_approach_one_without() {
             tick(
                 &mut stream,
                 at,
-                [Told::powered(at, powered), Told::limp(at, limp)],
+                [
+                    CommandSample::powered(at, powered),
+                    CommandSample::limp(at, limp),
+                ],
             );
         }
         broken(&stream)
@@ -236,7 +241,10 @@ fn a_push_moves_the_bound_by_as_much_as_it_pushed() {
         let mut stream = scene.stream();
         let own = [at(0.0), at(0.0), at(0.0), at(yaw)];
         for (tick_of, (push, own)) in (0..).zip(pushes.iter().zip(&own)) {
-            let told = [Told::powered(tick_of, own), Told::limp(tick_of, push)];
+            let told = [
+                CommandSample::powered(tick_of, own),
+                CommandSample::limp(tick_of, push),
+            ];
             tick(&mut stream, tick_of, told);
         }
         assert_eq!(!broken(&stream).is_empty(), found, "{yaw}");
@@ -252,7 +260,10 @@ fn two_limp_arms_may_meet() {
         tick(
             &mut stream,
             at,
-            [Told::limp(at, &HOME), Told::limp(at, &HOME)],
+            [
+                CommandSample::limp(at, &HOME),
+                CommandSample::limp(at, &HOME),
+            ],
         );
     }
     assert!(broken(&stream).is_empty());
@@ -261,7 +272,7 @@ fn two_limp_arms_may_meet() {
 #[test]
 fn a_third_arm_is_not_passed_over() {
     let mut stream = scene().stream();
-    let told = Told::powered(0, &HOME);
+    let told = CommandSample::powered(0, &HOME);
     stream.tick(0, &[told.pair(); 3]);
     assert_eq!(broken(&stream), ["unknown_arms"]);
 }

@@ -2,20 +2,20 @@
 
 use core::f64::consts::TAU;
 
-use super::scene::{HOME, NAMES, Scene, Told, all_broken};
+use super::scene::{CommandSample, HOME, NAMES, Scene, all_broken};
 use crate::differences::AXES;
 
 const TICKS: u32 = 200;
 
 /// The commands of an honest sweep of `axis`: p = way (u - sin(2 pi u) / 2 pi), with its derivatives.
-fn sweep(axis: usize, way: f64) -> Vec<Told> {
+fn sweep(axis: usize, way: f64) -> Vec<CommandSample> {
     let seconds = f64::from(TICKS) * 1e-3;
     (0..TICKS + 5)
         .map(|tick| {
             let u = (f64::from(tick) / f64::from(TICKS)).min(1.0);
             let mut place: [f64; AXES] = HOME;
             place[axis] += way * (u - (TAU * u).sin() / TAU);
-            let mut told = Told::powered(u64::from(tick), &place);
+            let mut told = CommandSample::powered(u64::from(tick), &place);
             let velocity = way / seconds * (1.0 - (TAU * u).cos());
             match told.command.velocity.get_mut(axis) {
                 Some(joint) => {
@@ -31,7 +31,7 @@ fn sweep(axis: usize, way: f64) -> Vec<Told> {
 }
 
 /// What is broken when the motion of `axis` has hardly more than the jerk that it needs, after `change`.
-fn broken_by(axis: usize, change: impl Fn(&mut Vec<Told>)) -> Vec<String> {
+fn broken_by(axis: usize, change: impl Fn(&mut Vec<CommandSample>)) -> Vec<String> {
     let way = 0.03;
     let mut scene = Scene::loose(1);
     scene.axes[axis][4] = 1.001 * TAU * TAU * way / (f64::from(TICKS) * 1e-3).powi(3);
@@ -79,13 +79,13 @@ fn rates_that_are_not_those_of_the_setpoints_are_caught() {
 fn acceleration_over_limit_or_without_torque_is_caught() {
     let mut scene = Scene::loose(1);
     scene.axes[1][3] = 2.0;
-    let mut told = Told::powered(0, &HOME);
+    let mut told = CommandSample::powered(0, &HOME);
     told.command.acceleration[1] = -2.1;
     let mut stream = scene.stream();
     stream.tick(0, &[told.pair()]);
     assert_eq!(all_broken(&stream), ["pitch.commanded_acceleration"]);
     for bad in [f64::NAN, 1e-6] {
-        let mut told = Told::limp(0, &HOME);
+        let mut told = CommandSample::limp(0, &HOME);
         told.command.acceleration[4] = bad;
         let mut stream = scene.stream();
         stream.tick(0, &[told.pair()]);
@@ -99,7 +99,7 @@ fn a_clock_that_stands_or_goes_back_is_caught() {
     let run = |times: &[u64], gap_before: Option<usize>| {
         let mut stream = scene.stream();
         for (index, (&at, tick)) in times.iter().zip(0..).enumerate() {
-            let told = Told::powered(at, &HOME);
+            let told = CommandSample::powered(at, &HOME);
             if gap_before == Some(index) {
                 stream.missing(tick, 5);
             }
@@ -118,7 +118,7 @@ fn a_clock_that_stands_or_goes_back_is_caught() {
     assert_eq!(run(&[5, 6, 2, 3], Some(2)), over);
     // A tick's time is its commands'.
     let mut stream = scene.stream();
-    let told = Told::powered(4, &HOME);
+    let told = CommandSample::powered(4, &HOME);
     stream.tick(4, &[told.pair()]);
     stream.clock(hal::TimeNs::from_tick(5));
     assert_eq!(all_broken(&stream), ["clock_ns"]);

@@ -1,6 +1,6 @@
 //! Arms that get their torque beyond a boundary: they may stay, get worse by a hair, and come back for good.
 
-use super::scene::{HOME, Scene, Told, broken};
+use super::scene::{CommandSample, HOME, Scene, broken};
 use crate::differences::AXES;
 
 /// How much worse it may get: what the test's configuration says, m, and the checker's tolerance.
@@ -80,9 +80,9 @@ fn torque_that_comes_again_is_a_new_beginning() {
         let places = [home, inside, inside, home, home, home];
         for (place, tick) in places.iter().zip(0..) {
             let told = if limp && (2..5).contains(&tick) {
-                Told::limp(tick, place)
+                CommandSample::limp(tick, place)
             } else {
-                Told::powered(tick, place)
+                CommandSample::powered(tick, place)
             };
             stream.tick(tick, &[told.pair()]);
         }
@@ -132,11 +132,11 @@ fn two_arms_enabled_too_near_may_only_part() {
         for (yaw, tick) in yaws.iter().zip(0..) {
             let mut place = HOME;
             place[0] = *yaw;
-            let one = Told::powered(tick, &place);
+            let one = CommandSample::powered(tick, &place);
             let two = if limp.contains(&tick) {
-                Told::limp(tick, &HOME)
+                CommandSample::limp(tick, &HOME)
             } else {
-                Told::powered(tick, &HOME)
+                CommandSample::powered(tick, &HOME)
             };
             stream.tick(tick, &[one.pair(), two.pair()]);
         }

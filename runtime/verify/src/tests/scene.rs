@@ -111,7 +111,7 @@ impl Scene {
     pub(super) fn broken_by(&self, places: &[[f64; AXES]]) -> Vec<String> {
         let mut stream = self.stream();
         for (place, tick) in places.iter().zip(0..) {
-            let told = Told::powered(tick, place);
+            let told = CommandSample::powered(tick, place);
             stream.tick(tick, &[told.pair()]);
         }
         broken(&stream)
@@ -145,12 +145,12 @@ pub(super) fn all_broken(stream: &Stream) -> Vec<String> {
 
 /// A command with what its arm had measured.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Told {
+pub(super) struct CommandSample {
     pub(super) command: ArmCommand,
     pub(super) measured: Result<ArmState, ArmError>,
 }
 
-impl Told {
+impl CommandSample {
     /// An arm with torque at its commanded place.
     pub(super) fn powered(tick: u64, place: &[f64; AXES]) -> Self {
         let [joints @ .., jaw_position] = *place;

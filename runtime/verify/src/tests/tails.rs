@@ -4,7 +4,7 @@ use hal::psm::{FINGER_M, RCC_M, SHAFT_RADIUS_M, TOOL_M, WRIST_M};
 use hal::tail::{AxisTail, TailPhase};
 use hal::{SafeTail, TimeNs};
 
-use super::scene::{HOME, NAMES, Random, Scene, Told, broken};
+use super::scene::{CommandSample, HOME, NAMES, Random, Scene, broken};
 use crate::Stream;
 
 const ROLL: usize = 3;
@@ -32,8 +32,8 @@ fn stop(velocity: f64, brake: f64, jerk: f64) -> [TailPhase; 3] {
 }
 
 /// An arm at home in which one axis moves, and the way to rest.
-fn moving(axis: usize, velocity: f64) -> (Told, SafeTail) {
-    let mut told = Told::powered(7, &HOME);
+fn moving(axis: usize, velocity: f64) -> (CommandSample, SafeTail) {
+    let mut told = CommandSample::powered(7, &HOME);
     match told.command.velocity.get_mut(axis) {
         Some(joint) => *joint = velocity,
         None => told.command.jaw_velocity = velocity,
@@ -45,7 +45,7 @@ fn moving(axis: usize, velocity: f64) -> (Told, SafeTail) {
 }
 
 /// What is broken by one command and its tail.
-fn broken_by(scene: &Scene, (told, tail): &(Told, SafeTail)) -> Vec<String> {
+fn broken_by(scene: &Scene, (told, tail): &(CommandSample, SafeTail)) -> Vec<String> {
     let mut stream = scene.stream();
     stream.tick(7, &[told.pair()]);
     stream.tails(&[tail]);
@@ -53,7 +53,12 @@ fn broken_by(scene: &Scene, (told, tail): &(Told, SafeTail)) -> Vec<String> {
 }
 
 /// That the tail breaks `name` and nothing else under one bound, and nothing under the other.
-fn only(name: &str, pair: &(Told, SafeTail), bounds: [f64; 2], set: impl Fn(&mut Scene, f64)) {
+fn only(
+    name: &str,
+    pair: &(CommandSample, SafeTail),
+    bounds: [f64; 2],
+    set: impl Fn(&mut Scene, f64),
+) {
     let [broken, kept] = bounds.map(|bound| {
         let mut scene = Scene::loose(1);
         set(&mut scene, bound);
@@ -160,7 +165,7 @@ fn a_tail_that_is_not_its_commands_is_caught() {
     let scene = Scene::loose(1);
     let honest = moving(ROLL, SPEED);
     assert!(broken_by(&scene, &honest).is_empty());
-    let changed = |change: &dyn Fn(&mut Told, &mut SafeTail)| {
+    let changed = |change: &dyn Fn(&mut CommandSample, &mut SafeTail)| {
         let (mut told, mut tail) = honest;
         change(&mut told, &mut tail);
         broken_by(&scene, &(told, tail))
@@ -211,7 +216,7 @@ fn a_tail_goes_on_where_it_is() {
             );
         }
         for now in [5, 6, 29, 105, 400, 3000, 10_000] {
-            let mut told = Told::powered(now, &HOME);
+            let mut told = CommandSample::powered(now, &HOME);
             told.command = tail.command_at(TimeNs::from_tick(now));
             told.measured = Err(hal::ArmError::EndOfRecording);
             assert_eq!(broken_by(&scene, &(told, tail)), [""; 0], "{now} {tail:?}");
@@ -227,7 +232,7 @@ fn a_tail_that_takes_too_long_is_caught_and_not_played() {
     let (told, mut tail) = moving(ROLL, SPEED);
     assert!(broken_by(&scene, &(told, tail)).is_empty());
     for (duration_s, found) in [(longest_s, false), (longest_s + 1e-6, true), (1e300, true)] {
-        let told = Told::powered(7, &HOME);
+        let told = CommandSample::powered(7, &HOME);
         tail.axes[ROLL] = AxisTail::at_rest(HOME[ROLL]);
         tail.axes[ROLL].phases[1].duration_s = duration_s;
         let expected = if found {
@@ -270,7 +275,7 @@ fn nan_in_a_tail_is_caught_wherever_it_matters() {
 #[test]
 fn a_limp_arm_has_a_tail_that_rests() {
     let scene = Scene::loose(1);
-    let told = Told::limp(7, &HOME);
+    let told = CommandSample::limp(7, &HOME);
     let mut tail = SafeTail::at_rest(told.command.stamp, &HOME, false);
     assert!(broken_by(&scene, &(told, tail)).is_empty());
     tail.axes[ROLL].phases[0].duration_s = 0.1;
@@ -280,12 +285,12 @@ fn a_limp_arm_has_a_tail_that_rests() {
 }
 
 /// Two arms side by side, of which the first swings to the second and would stop.
-fn two(gap_m: f64, yaw_velocity: f64) -> (Stream, [Told; 2], [SafeTail; 2]) {
+fn two(gap_m: f64, yaw_velocity: f64) -> (Stream, [CommandSample; 2], [SafeTail; 2]) {
     let mut scene = Scene::loose(2);
     scene.arms[1].place = [0.06, 0.0, 0.0];
     scene.gaps_m = [gap_m, -1.0];
     let (told, tail) = moving(0, yaw_velocity);
-    let rest = Told::powered(7, &HOME);
+    let rest = CommandSample::powered(7, &HOME);
     let stays = SafeTail::at_rest(rest.command.stamp, &HOME, true);
     (scene.stream(), [told, rest], [tail, stays])
 }
@@ -296,8 +301,11 @@ fn tails_that_bring_two_arms_too_near_are_caught_alone() {
         let (mut stream, _, _) = two(-1.0, SPEED);
         let mut place = HOME;
         place[0] = yaw;
-        let told = [Told::powered(0, &place), Told::powered(0, &HOME)];
-        stream.tick(0, &told.each_ref().map(Told::pair));
+        let told = [
+            CommandSample::powered(0, &place),
+            CommandSample::powered(0, &HOME),
+        ];
+        stream.tick(0, &told.each_ref().map(CommandSample::pair));
         let shafts = stream
             .worst()
             .find(|worst| worst.limit == "between_arms.shaft.shaft");
@@ -309,7 +317,7 @@ fn tails_that_bring_two_arms_too_near_are_caught_alone() {
     assert!(last < gap(0.0) - 0.002);
     let run = |gap_m: f64, sign: f64| {
         let (mut stream, told, tails) = two(gap_m, sign * SPEED);
-        stream.tick(7, &told.each_ref().map(Told::pair));
+        stream.tick(7, &told.each_ref().map(CommandSample::pair));
         stream.tails(&tails.each_ref());
         broken(&stream)
     };
@@ -322,7 +330,7 @@ fn tails_that_bring_two_arms_too_near_are_caught_alone() {
 fn a_missing_tail_and_one_too_many_are_caught() {
     for count in [0, 1, 3] {
         let (mut stream, told, [one, two]) = two(-1.0, SPEED);
-        stream.tick(7, &told.each_ref().map(Told::pair));
+        stream.tick(7, &told.each_ref().map(CommandSample::pair));
         stream.tails(&[&one, &two, &two][..count]);
         assert_eq!(broken(&stream), ["tail.missing"], "{count}");
     }

@@ -298,7 +298,7 @@ pub(super) fn fault(mesh: &Mesh) -> Option<&'static str> {
     } else if mesh.positions.len() != mesh.normals.len() {
         Some("it has more or fewer normals than vertices")
     } else if !mesh.positions.iter().all(near) {
-        Some("a vertex is no number or further than 10 m away")
+        Some("a vertex is not finite or further than 10 m away")
     } else if !mesh.normals.iter().all(unit) {
         Some("a normal has not the length 1")
     } else if !mesh.indices.iter().all(there) {

@@ -50,13 +50,13 @@ pub struct Disturbance {
     pub to_s: f64,
     /// What it was.
     #[serde(flatten)]
-    pub what: What,
+    pub what: DisturbanceKind,
 }
 
 /// Kinds of disturbances, each with its greatest extent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "lowercase")]
-pub enum What {
+pub enum DisturbanceKind {
     /// The tip is led off its way.
     Offset {
         /// Along the scene's axes, m.
@@ -100,7 +100,7 @@ pub struct Disturber {
 /// A disturbance under way.
 #[derive(Clone, Copy, Debug)]
 struct Active {
-    what: What,
+    what: DisturbanceKind,
     from_s: f64,
     to_s: f64,
 }
@@ -190,8 +190,8 @@ impl Disturber {
         let Some(active) = &mut self.active[arm] else {
             return;
         };
-        let is_miss = matches!(active.what, What::Miss { .. });
-        let is_slip = matches!(active.what, What::Slip { .. });
+        let is_miss = matches!(active.what, DisturbanceKind::Miss { .. });
+        let is_slip = matches!(active.what, DisturbanceKind::Slip { .. });
         if replanned && !is_slip {
             active.to_s = now_s;
         } else if is_miss && changed {
@@ -254,7 +254,7 @@ impl Active {
     fn applied(&self, base: &Pose, at_s: f64, target: &TipTarget) -> TipTarget {
         let tip = target.tip_in_rcm();
         match self.what {
-            What::Offset {
+            DisturbanceKind::Offset {
                 in_scene_m,
                 in_tip_m,
                 turn_rad,
@@ -266,16 +266,16 @@ impl Active {
                 let led = Translation3::from(in_rcm) * tip * in_tip * turn;
                 TipTarget::new(&led, target.jaw)
             }
-            What::Miss { back_m, beside_m } => {
+            DisturbanceKind::Miss { back_m, beside_m } => {
                 let off = Vector3::new(beside_m, 0.0, -back_m) * self.plateau(at_s, RAMP_S);
                 TipTarget::new(&(tip * Translation3::from(off)), target.jaw)
             }
-            What::Slip { jaw_rad } => {
+            DisturbanceKind::Slip { jaw_rad } => {
                 let share = self.plateau(at_s, JAW_RAMP_S);
                 let jaw = target.jaw + (jaw_rad - target.jaw).max(0.0) * share;
                 TipTarget::new(&tip, jaw)
             }
-            What::Nudge { .. } => *target,
+            DisturbanceKind::Nudge { .. } => *target,
         }
     }
 
@@ -298,7 +298,7 @@ impl Active {
 impl Planned {
     /// Begins it; gives how long it will last, s, or none if it can't be.
     fn begin(&self, simulation: &mut Simulation) -> Option<f64> {
-        let What::Nudge {
+        let DisturbanceKind::Nudge {
             velocity_m_s,
             turn_rad_s,
         } = self.what

@@ -4,7 +4,7 @@ use core::f64::consts::TAU;
 
 use trocar_world::rng::Rng;
 
-use super::{MISS_S_MAX, What};
+use super::{DisturbanceKind, MISS_S_MAX};
 use crate::expert::Activity;
 use crate::task::TaskConfig;
 
@@ -17,7 +17,7 @@ pub(super) struct Planned {
     /// for so long, s.
     pub(super) delay_s: f64,
     pub(super) duration_s: f64,
-    pub(super) what: What,
+    pub(super) what: DisturbanceKind,
 }
 
 /// Most offsets of a demonstration; one at least.
@@ -99,7 +99,7 @@ fn offset(arm: usize, activity: Activity, rng: &mut Rng) -> Planned {
         activity,
         delay_s: rng.range(0.1, 0.8),
         duration_s: rng.range(0.3, 1.0),
-        what: What::Offset {
+        what: DisturbanceKind::Offset {
             in_scene_m,
             in_tip_m,
             turn_rad,
@@ -113,7 +113,7 @@ fn miss(arm: usize, rng: &mut Rng) -> Planned {
         activity: Activity::Grasp,
         delay_s: 0.0,
         duration_s: MISS_S_MAX,
-        what: What::Miss {
+        what: DisturbanceKind::Miss {
             back_m: rng.range(0.005, 0.008),
             beside_m: rng.range(-0.002, 0.002),
         },
@@ -127,7 +127,7 @@ fn slip(rng: &mut Rng) -> Planned {
         activity: Activity::Lift,
         delay_s: rng.range(0.1, 0.7),
         duration_s: rng.range(0.20, 0.35),
-        what: What::Slip {
+        what: DisturbanceKind::Slip {
             jaw_rad: rng.range(0.25, 0.45),
         },
     }
@@ -141,7 +141,7 @@ fn nudge(activity: Activity, rng: &mut Rng) -> Planned {
         activity,
         delay_s: rng.range(0.1, 0.8),
         duration_s: rng.range(0.04, 0.08),
-        what: What::Nudge {
+        what: DisturbanceKind::Nudge {
             velocity_m_s: [speed_m_s * cos, speed_m_s * sin],
             turn_rad_s: rng.range(-2.0, 2.0),
         },

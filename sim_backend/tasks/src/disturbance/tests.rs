@@ -24,7 +24,7 @@ fn disturbed(task: &TaskConfig, seed: u64, planned: Vec<Planned>) -> (Episode, V
     (episode, disturber.unwrap().happened)
 }
 
-fn plan(activity: Activity, duration_s: f64, what: What) -> Planned {
+fn plan(activity: Activity, duration_s: f64, what: DisturbanceKind) -> Planned {
     Planned {
         arm: 0,
         activity,
@@ -34,12 +34,12 @@ fn plan(activity: Activity, duration_s: f64, what: What) -> Planned {
     }
 }
 
-fn kind(what: &What) -> &'static str {
+fn kind(what: &DisturbanceKind) -> &'static str {
     match what {
-        What::Offset { .. } => "offset",
-        What::Miss { .. } => "miss",
-        What::Slip { .. } => "slip",
-        What::Nudge { .. } => "nudge",
+        DisturbanceKind::Offset { .. } => "offset",
+        DisturbanceKind::Miss { .. } => "miss",
+        DisturbanceKind::Slip { .. } => "slip",
+        DisturbanceKind::Nudge { .. } => "nudge",
     }
 }
 
@@ -126,7 +126,7 @@ fn nothing_planned_changes_nothing() {
 fn a_miss_leads_to_a_second_grasp_in_every_task() {
     for name in TaskConfig::names() {
         let task = patient(name);
-        let miss = What::Miss {
+        let miss = DisturbanceKind::Miss {
             back_m: 0.006,
             beside_m: 0.001,
         };
@@ -149,7 +149,7 @@ fn a_miss_leads_to_a_second_grasp_in_every_task() {
 fn what_slips_out_of_the_jaw_is_fetched_again() {
     for name in TaskConfig::names() {
         let task = patient(name);
-        let slip = plan(Activity::Lift, 0.3, What::Slip { jaw_rad: 0.4 });
+        let slip = plan(Activity::Lift, 0.3, DisturbanceKind::Slip { jaw_rad: 0.4 });
         let (episode, happened) = disturbed(&task, 2, vec![slip]);
         let outcome = episode.outcome;
         assert_eq!(outcome, Outcome::Success, "{name}: {outcome}");
@@ -168,7 +168,7 @@ fn intentions_stay_and_what_is_executed_leaves_them_smoothly() {
     disturber.planned = vec![plan(
         Activity::Reach,
         0.6,
-        What::Offset {
+        DisturbanceKind::Offset {
             in_scene_m: peak_m,
             in_tip_m: [0.0; 3],
             turn_rad: [0.0, 0.0, 0.1],
@@ -272,7 +272,7 @@ fn plans_keep_to_their_bounds_and_to_the_share() {
 
 fn check(planned: &Planned) {
     match planned.what {
-        What::Offset {
+        DisturbanceKind::Offset {
             in_scene_m,
             in_tip_m,
             turn_rad,
@@ -285,14 +285,14 @@ fn check(planned: &Planned) {
             assert!((-0.004..=0.0).contains(&along));
             assert!(turn_rad.iter().all(|turn| turn.abs() <= 0.1));
         }
-        What::Miss { back_m, beside_m } => {
+        DisturbanceKind::Miss { back_m, beside_m } => {
             assert!((0.005..0.008).contains(&back_m) && beside_m.abs() <= 0.002);
         }
-        What::Slip { jaw_rad } => {
+        DisturbanceKind::Slip { jaw_rad } => {
             assert!((0.25..0.45).contains(&jaw_rad));
             assert!((0.2..0.35).contains(&planned.duration_s));
         }
-        What::Nudge { velocity_m_s, .. } => {
+        DisturbanceKind::Nudge { velocity_m_s, .. } => {
             let speed_m_s = Vector3::new(velocity_m_s[0], velocity_m_s[1], 0.0).norm();
             assert!(speed_m_s * planned.duration_s <= 0.008 + 1e-12);
         }

@@ -5,7 +5,7 @@ use hal::{Chunk, TimeNs, TipTarget};
 
 use crate::scene::SceneState;
 use crate::script::AnyScript;
-pub use crate::script::{Activity, CHUNK_LEN, Care, STEP_NS};
+pub use crate::script::{Activity, CHUNK_LEN, STEP_NS, SettleCriteria};
 use crate::task::TaskConfig;
 use hal::ARMS_MAX;
 
@@ -26,7 +26,7 @@ impl Expert {
 
     /// The same for an operator to go by, who sees late and waits with `care` for what the hands come to.
     #[must_use]
-    pub fn careful(task: &TaskConfig, seed: u64, care: Care) -> Self {
+    pub fn careful(task: &TaskConfig, seed: u64, care: SettleCriteria) -> Self {
         let mut expert = Self::new(task, seed);
         expert.script.take_care(care, seed);
         expert

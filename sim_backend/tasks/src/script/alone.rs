@@ -5,7 +5,7 @@ use trocar_world::ArmStart;
 use trocar_world::rng::Rng;
 
 use super::play::{Activity, ArmView, Hand, Looks, Part};
-use super::{Care, Script, Wish, arrive, carry};
+use super::{Script, SettleCriteria, TipTargets, arrive, carry};
 use crate::scene::SceneState;
 use hal::ARMS_MAX;
 
@@ -43,7 +43,7 @@ impl<P: Part> Alone<P> {
 }
 
 impl<P: Part<View = View>> Script for Alone<P> {
-    fn step(&mut self, now: TimeNs, scene: &SceneState) -> Wish {
+    fn step(&mut self, now: TimeNs, scene: &SceneState) -> TipTargets {
         let view = View {
             arm: ArmView {
                 tip: self.scene_from_rcm * scene.first.tip_in_rcm,
@@ -55,7 +55,7 @@ impl<P: Part<View = View>> Script for Alone<P> {
         };
         let placement = self.hand.play(now, &view);
         let tip_in_rcm = self.scene_from_rcm.inv_mul(&placement.tip_in_scene);
-        Wish {
+        TipTargets {
             first: TipTarget::new(&tip_in_rcm, placement.jaw),
             second: None,
         }
@@ -69,11 +69,11 @@ impl<P: Part<View = View>> Script for Alone<P> {
         [self.hand.activity(), Activity::Other]
     }
 
-    fn take_care(&mut self, care: Care, seed: u64) {
+    fn take_care(&mut self, care: SettleCriteria, seed: u64) {
         self.hand.take_care(care, Rng::stream(seed, "care"));
     }
 
-    fn foresee(&self, scene: &mut SceneState, wish: &Wish) {
+    fn foresee(&self, scene: &mut SceneState, wish: &TipTargets) {
         if self.hand.carries() && scene.first.grasp.both_touch {
             carry(&mut scene.first, &wish.first);
         } else {

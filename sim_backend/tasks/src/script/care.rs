@@ -13,7 +13,7 @@ fn step_s() -> f64 {
 
 /// What an operator waits for at the end of each motion, which the expert, whose arm is where it wants it, need not.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Care {
+pub struct SettleCriteria {
     /// How near the tip has to be to where the motion ends, m.
     pub near_m: f64,
     /// The same of its rotation, rad.
@@ -27,13 +27,13 @@ pub struct Care {
 /// A hand's care, in the middle of a motion.
 #[derive(Clone, Debug)]
 pub(crate) struct Careful {
-    care: Care,
+    care: SettleCriteria,
     rng: Rng,
     waited_s: f64,
 }
 
 impl Careful {
-    pub(crate) fn new(care: Care, rng: Rng) -> Self {
+    pub(crate) fn new(care: SettleCriteria, rng: Rng) -> Self {
         Self {
             care,
             rng,

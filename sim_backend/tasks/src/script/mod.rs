@@ -15,7 +15,7 @@ use core::fmt::Debug;
 
 use hal::{TimeNs, TipTarget};
 
-pub use care::Care;
+pub use care::SettleCriteria;
 pub use play::Activity;
 
 use crate::scene::{ArmScene, SceneState};
@@ -29,7 +29,7 @@ pub const CHUNK_LEN: usize = 10;
 
 /// Where the tips should be at one instant, each in its arm's RCM frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Wish {
+pub(crate) struct TipTargets {
     pub(crate) first: TipTarget,
     pub(crate) second: Option<TipTarget>,
 }
@@ -37,7 +37,7 @@ pub(crate) struct Wish {
 /// What an expert of one task does.
 pub(crate) trait Script: Clone + Debug + Send + 'static {
     /// The wish for `now`; to be asked every [`STEP_NS`]. The first call starts from where the tips are measured.
-    fn step(&mut self, now: TimeNs, scene: &SceneState) -> Wish;
+    fn step(&mut self, now: TimeNs, scene: &SceneState) -> TipTargets;
 
     /// Attempts at a grasp begun so far, the present one included.
     fn attempts(&self) -> u32;
@@ -46,16 +46,16 @@ pub(crate) trait Script: Clone + Debug + Send + 'static {
     fn activities(&self) -> [Activity; ARMS_MAX];
 
     /// From now on it is played with `care`, whose pauses are drawn by `seed`.
-    fn take_care(&mut self, care: Care, seed: u64);
+    fn take_care(&mut self, care: SettleCriteria, seed: u64);
 
     /// Changes `scene` to what it would be after `wish` if the arms kept up.
-    fn foresee(&self, scene: &mut SceneState, wish: &Wish);
+    fn foresee(&self, scene: &mut SceneState, wish: &TipTargets);
 }
 
 /// A script of whatever task, with its foresight.
 pub(crate) trait AnyScript: Debug + Send {
     /// The wish for `now`, and those that would follow.
-    fn wishes(&mut self, now: TimeNs, scene: &SceneState) -> [Wish; CHUNK_LEN];
+    fn wishes(&mut self, now: TimeNs, scene: &SceneState) -> [TipTargets; CHUNK_LEN];
 
     /// Attempts at a grasp begun so far, the present one included.
     fn attempts(&self) -> u32;
@@ -64,11 +64,11 @@ pub(crate) trait AnyScript: Debug + Send {
     fn activities(&self) -> [Activity; ARMS_MAX];
 
     /// As [`Script::take_care`].
-    fn take_care(&mut self, care: Care, seed: u64);
+    fn take_care(&mut self, care: SettleCriteria, seed: u64);
 }
 
 impl<S: Script> AnyScript for S {
-    fn wishes(&mut self, now: TimeNs, scene: &SceneState) -> [Wish; CHUNK_LEN] {
+    fn wishes(&mut self, now: TimeNs, scene: &SceneState) -> [TipTargets; CHUNK_LEN] {
         let mut wish = self.step(now, scene);
         let mut wishes = [wish; CHUNK_LEN];
         let mut ahead = self.clone();
@@ -91,7 +91,7 @@ impl<S: Script> AnyScript for S {
         Script::activities(self)
     }
 
-    fn take_care(&mut self, care: Care, seed: u64) {
+    fn take_care(&mut self, care: SettleCriteria, seed: u64) {
         Script::take_care(self, care, seed);
     }
 }

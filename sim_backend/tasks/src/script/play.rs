@@ -5,7 +5,7 @@ use core::fmt::Debug;
 use hal::{Pose, TimeNs};
 use trocar_world::rng::Rng;
 
-use super::care::{Care, Careful};
+use super::care::{Careful, SettleCriteria};
 use super::motion::{Motion, Placement};
 
 /// A step's share of following what moves, m and rad.
@@ -187,7 +187,7 @@ impl<P: Part> Hand<P> {
     }
 
     /// From now on it waits at the end of each motion as `care` says.
-    pub(crate) fn take_care(&mut self, care: Care, rng: Rng) {
+    pub(crate) fn take_care(&mut self, care: SettleCriteria, rng: Rng) {
         self.careful = Some(Careful::new(care, rng));
     }
 

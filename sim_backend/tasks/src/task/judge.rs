@@ -143,9 +143,9 @@ impl fmt::Display for Reason {
     }
 }
 
-/// What a monitor sees of one millisecond.
+/// Input of a monitor: the world after one millisecond.
 #[derive(Clone, Debug)]
-pub(crate) struct Sight {
+pub(crate) struct MonitorInput {
     /// What the task is about, scene frame: a thing, or the mark on a flap.
     pub(crate) thing_in_scene: Pose,
     /// How each arm holds it.
@@ -162,7 +162,7 @@ pub(crate) struct Sight {
     pub(crate) free_energy_j: Option<f64>,
 }
 
-impl Sight {
+impl MonitorInput {
     pub(crate) fn of(world: &World) -> Self {
         let arms = 0..world.arm_count();
         let is_free = world.thing_count() > 0 && arms.clone().all(|arm| !world.is_touched(arm, 0));
@@ -184,13 +184,13 @@ impl Sight {
 /// Watches one episode of one task, 1000 times a second.
 pub(crate) trait Monitor: Send {
     /// Takes in the state after one millisecond. After success or failure it is not asked again.
-    fn observe(&mut self, sight: &Sight) -> Outcome;
+    fn observe(&mut self, sight: &MonitorInput) -> Outcome;
 
     /// What has not happened as long as there is no success, in words.
     fn missing(&self) -> &'static str;
 
     /// What has to be so for success, and how it is in the state that was observed last.
-    fn criteria(&self, sight: &Sight) -> Criteria;
+    fn criteria(&self, sight: &MonitorInput) -> Criteria;
 }
 
 /// A monitor with the clock.
@@ -228,12 +228,12 @@ impl Judge {
     }
 
     /// What has to be so for success, and how it is in the state that was observed last.
-    pub(crate) fn criteria(&self, sight: &Sight) -> Criteria {
+    pub(crate) fn criteria(&self, sight: &MonitorInput) -> Criteria {
         self.monitor.criteria(sight)
     }
 
     /// Takes in the state after one millisecond.
-    pub(crate) fn observe(&mut self, sight: &Sight) {
+    pub(crate) fn observe(&mut self, sight: &MonitorInput) {
         if self.outcome != Outcome::Running {
             return;
         }
@@ -304,7 +304,7 @@ impl PressWatch {
     }
 
     /// Takes in a step; says what is wrong once it has lasted.
-    pub(super) fn failure(&mut self, sight: &Sight) -> Option<Reason> {
+    pub(super) fn failure(&mut self, sight: &MonitorInput) -> Option<Reason> {
         let force_n = sight.ground_force_n;
         let is_pressed = if self.steps == 0 {
             force_n > self.limit.force_n_max
@@ -358,7 +358,7 @@ impl Limits {
 #[derive(Clone, Debug)]
 pub(super) struct Safeguard {
     ground: &'static str,
-    watch: Watch,
+    watch: FailureMonitor,
     press: PressWatch,
 }
 
@@ -372,7 +372,7 @@ impl Safeguard {
     ) -> Self {
         Self {
             ground,
-            watch: Watch::new(thing, limits),
+            watch: FailureMonitor::new(thing, limits),
             press: PressWatch::new(ground, press),
         }
     }
@@ -382,7 +382,7 @@ impl Safeguard {
     pub(super) fn end(
         &mut self,
         point: &Point3<f64>,
-        sight: &Sight,
+        sight: &MonitorInput,
         fallen: impl FnOnce() -> bool,
     ) -> Option<Outcome> {
         if let Some(end) = self.watch.end(point, sight) {
@@ -406,11 +406,11 @@ pub(super) fn is_off(organ: &Organ, middle: &Point3<f64>, sink_m: f64) -> bool {
 
 /// For how long the goal has been met without a break.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Held {
+pub(super) struct DwellTimer {
     steps: u64,
 }
 
-impl Held {
+impl DwellTimer {
     /// For how long, s.
     pub(super) fn seconds(self) -> f64 {
         seconds(self.steps)
@@ -430,7 +430,7 @@ impl Held {
 /// The checks that every handled thing passes. Crushing and throwing lose the episode; penetration, energy gain and what
 /// is not finite make it invalid.
 #[derive(Clone, Debug)]
-pub(super) struct Watch {
+pub(super) struct FailureMonitor {
     thing: &'static str,
     limits: Limits,
     deep_steps: usize,
@@ -440,7 +440,7 @@ pub(super) struct Watch {
     points: VecDeque<Point3<f64>>,
 }
 
-impl Watch {
+impl FailureMonitor {
     pub(super) fn new(thing: &'static str, limits: Limits) -> Self {
         Self {
             thing,
@@ -454,13 +454,13 @@ impl Watch {
     }
 
     /// How the episode ends by what is wrong with a thing, one of whose points is at `point`.
-    pub(super) fn end(&mut self, point: &Point3<f64>, sight: &Sight) -> Option<Outcome> {
+    pub(super) fn end(&mut self, point: &Point3<f64>, sight: &MonitorInput) -> Option<Outcome> {
         let fault = self.fault(point, sight).map(Outcome::Invalid);
         fault.or_else(|| self.failure(point, sight).map(Outcome::Failure))
     }
 
     /// What is wrong with the simulation.
-    fn fault(&mut self, point: &Point3<f64>, sight: &Sight) -> Option<Reason> {
+    fn fault(&mut self, point: &Point3<f64>, sight: &MonitorInput) -> Option<Reason> {
         let thing = self.thing;
         if !point.coords.iter().all(|x| x.is_finite()) {
             return Some(Reason::NotFinite { thing });
@@ -480,7 +480,7 @@ impl Watch {
     }
 
     /// What harms the thing.
-    fn failure(&mut self, point: &Point3<f64>, sight: &Sight) -> Option<Reason> {
+    fn failure(&mut self, point: &Point3<f64>, sight: &MonitorInput) -> Option<Reason> {
         let thing = self.thing;
         let most = |of: fn(&Grasp) -> f64| sight.grasps.iter().map(of).fold(0.0, f64::max);
         let force_n = most(|grasp| grasp.left_force_n.max(grasp.right_force_n));
@@ -522,7 +522,8 @@ mod tests {
     /// Shows each force for its number of steps; gives the step at which the press had lasted too long.
     fn pressed(parts: &[(f64, usize)]) -> Option<usize> {
         let task = TaskConfig::shipped("needle-lift");
-        let mut sight = Sight::of(&World::new(&task.world, &task.scene.scenery(0), &task.arms));
+        let mut sight =
+            MonitorInput::of(&World::new(&task.world, &task.scene.scenery(0), &task.arms));
         let mut watch = PressWatch::new("organ", LIMIT);
         let forces = parts
             .iter()

@@ -38,11 +38,11 @@ use trocar_world::{ArmStart, Scenery, WorldConfig};
 pub use camera::{CameraConfig, ENDOSCOPE, Mount, SIDE};
 pub use criteria::{Criteria, Criterion};
 pub use files::{SAFETY_FILE, SCENE_FILE, TaskError, TaskFiles};
-pub(crate) use judge::{Judge, Monitor, Sight};
+pub(crate) use judge::{Judge, Monitor, MonitorInput};
 pub use judge::{Outcome, Reason};
 pub use needle_start::NeedleStart;
-pub use patient::{Lie, Patient, patient_file, tissue_material};
-pub use variation::{CannotVary, Drawn, Lens, Look, Variation};
+pub use patient::{Patient, PatientPlacement, patient_file, tissue_material};
+pub use variation::{Appearance, CannotVary, Drawn, Lens, Variation};
 pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
 pub(crate) use visuals::{scene_poses, scene_visuals};
 
@@ -230,7 +230,7 @@ impl TaskConfig {
 
     /// How the patient lies whose organ is the ground; none if the ground is made up.
     #[must_use]
-    pub fn patient(&self) -> Option<&Lie> {
+    pub fn patient(&self) -> Option<&PatientPlacement> {
         self.scene.patient().map(|patient| &patient.lie)
     }
 

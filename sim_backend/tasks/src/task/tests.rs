@@ -244,7 +244,7 @@ fn judged(
         penetration_m,
     };
     let mut judge = Judge::new(scene.monitor(1), task.time_limit_s);
-    let mut sight = Sight::of(&World::new(&task.world, &scene.scenery(1), &task.arms));
+    let mut sight = MonitorInput::of(&World::new(&task.world, &scene.scenery(1), &task.arms));
     sight.thing_in_scene = thing;
     sight.grasps = vec![grasp; task.arms.len()];
     for &energy_j in energies_j {

@@ -22,7 +22,7 @@ pub enum Variation {
     Needles,
     /// Cameras stand as in [`View::View1`].
     Views,
-    /// Light and colours differ within the bounds of [`Look`].
+    /// Light and colours differ within the bounds of [`Appearance`].
     Light,
     /// Distortion, vignette, exposure, noise, smoke, blood and condensate differ within the bounds of [`Lens`].
     Lens,
@@ -88,7 +88,7 @@ const TINT: f64 = 0.1;
 
 /// How an episode is lit and coloured, against the scene file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Look {
+pub struct Appearance {
     /// By how much the end of the light guide is moved along the lens' x and y, m.
     pub guide_shift_m: [f64; 2],
     /// By how much it is turned about them, rad.
@@ -103,7 +103,7 @@ pub struct Look {
     pub tints: BTreeMap<String, [f32; 3]>,
 }
 
-impl Look {
+impl Appearance {
     fn draw(seed: u64, things: &[&'static str]) -> Self {
         let mut rng = Rng::stream(seed, "light");
         let mut about = |half: f64| rng.range(-half, half);
@@ -166,7 +166,7 @@ pub struct Drawn {
     pub cameras: BTreeMap<String, [f64; 7]>,
     /// Light and colours, if they are varied.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub light: Option<Look>,
+    pub light: Option<Appearance>,
     /// Lens and sensor of each camera, if they are varied.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub lenses: BTreeMap<String, Lens>,
@@ -223,7 +223,7 @@ impl TaskConfig {
             light: varies(Variation::Light).then(|| {
                 let visuals = scene_visuals(self);
                 let names: Vec<_> = visuals.iter().map(|visual| visual.name).collect();
-                Look::draw(seed, &names)
+                Appearance::draw(seed, &names)
             }),
             lenses: self
                 .cameras

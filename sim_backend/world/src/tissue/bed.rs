@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 
-use super::ground::{Ground, Plane, Touch};
+use super::ground::{ContactParameters, Ground, Plane};
 use super::sheet::Sheet;
 
 /// A node that may touch the ground during this millisecond.
@@ -19,7 +19,7 @@ struct Near {
 #[derive(Clone, Debug)]
 pub(super) struct Bed {
     ground: Ground,
-    touch: Touch,
+    touch: ContactParameters,
     damping_n_s_m3: f64,
     half_thickness_m: f64,
     near: Vec<Near>,
@@ -35,7 +35,7 @@ const REACH_M: f64 = 0.004;
 const DEPTH_M_MAX: f64 = 0.002;
 
 impl Bed {
-    pub(super) fn new(ground: Ground, touch: &Touch, sheet: &Sheet) -> Self {
+    pub(super) fn new(ground: Ground, touch: &ContactParameters, sheet: &Sheet) -> Self {
         Self {
             ground,
             touch: *touch,

@@ -8,7 +8,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use super::grasp::GraspConfig;
-use super::ground::Touch;
+use super::ground::ContactParameters;
 use super::material::Material;
 use super::sheet::{Sheet, SheetShape, count, longest_step_s};
 use super::surface::Surface;
@@ -31,9 +31,9 @@ pub struct TissueConfig {
     /// What the flap is made of.
     pub material: Material,
     /// Contact with the organ below.
-    pub ground: Touch,
+    pub ground: ContactParameters,
     /// Contact with the instrument.
-    pub instrument: Touch,
+    pub instrument: ContactParameters,
     /// How a jaw holds it.
     pub grasp: GraspConfig,
     /// Where the mark may be.

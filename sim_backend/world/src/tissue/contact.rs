@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 
 use super::bed::held_back;
-use super::ground::Touch;
+use super::ground::ContactParameters;
 use super::jaw::{Motion, Solid, Wrench};
 use super::samples::Samples;
 use super::sheet::Sheet;
@@ -16,7 +16,7 @@ const REACH_M: f64 = 0.002;
 #[derive(Clone, Debug)]
 pub(super) struct Part {
     solid: Solid,
-    touch: Touch,
+    touch: ContactParameters,
     damping_n_s_m3: f64,
     half_thickness_m: f64,
     motion: Motion,
@@ -54,7 +54,7 @@ impl Felt {
 impl Part {
     pub(super) fn new(
         solid: Solid,
-        touch: &Touch,
+        touch: &ContactParameters,
         pose: &Pose,
         sheet: &Sheet,
         samples: &Samples,

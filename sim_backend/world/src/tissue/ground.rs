@@ -6,10 +6,10 @@ use serde::Deserialize;
 
 use super::sheet::count;
 
-/// How a surface pushes back at the sheet.
+/// Contact parameters of a surface against the sheet.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Touch {
+pub struct ContactParameters {
     /// Pressure for a depth, N/m³.
     pub stiffness_n_m3: f64,
     /// Damping ratio of the sheet's own mass on that spring, while it sinks in.
@@ -18,7 +18,7 @@ pub struct Touch {
     pub friction: f64,
 }
 
-impl Touch {
+impl ContactParameters {
     /// Checks the ranges of a contact read from `source` at the dotted `key`.
     ///
     /// # Errors

@@ -62,7 +62,7 @@ mod surface;
 pub use config::{MarkConfig, TissueConfig};
 pub use flap::Tissue;
 pub use grasp::GraspConfig;
-pub use ground::{Ground, Touch};
+pub use ground::{ContactParameters, Ground};
 pub use jaw::{JawInput, PAD_MIDDLE_M, Wrench};
 
 pub use material::Material;

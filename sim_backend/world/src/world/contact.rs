@@ -33,7 +33,7 @@ pub(super) enum Side {
         part: usize,
     },
     /// A thing.
-    Thing(usize),
+    RigidBody(usize),
 }
 
 /// A contact point.

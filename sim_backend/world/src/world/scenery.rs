@@ -11,7 +11,7 @@ use crate::tissue::{self, TissueConfig};
 #[derive(Clone, Debug)]
 pub struct Scenery {
     /// Things that can be pushed and gripped, in the order in which the world counts them.
-    pub things: Vec<Thing>,
+    pub things: Vec<RigidBody>,
     /// What they lie on.
     pub ground: Ground,
     /// A soft flap over the ground.
@@ -27,9 +27,9 @@ pub struct Flap {
     pub seed: u64,
 }
 
-/// A rigid thing that moves.
+/// A rigid body that moves.
 #[derive(Clone, Debug)]
-pub struct Thing {
+pub struct RigidBody {
     /// Where it is at the start, scene frame; it must not overlap anything.
     pub in_scene: Pose,
     /// Mass, kg.
@@ -41,21 +41,21 @@ pub struct Thing {
     /// How the principal axes are turned in the thing's frame.
     pub axes: UnitQuaternion<f64>,
     /// What it touches with.
-    pub pieces: Vec<Piece>,
+    pub pieces: Vec<Collider>,
 }
 
-/// A part of a thing's surface.
+/// A collider: a part of a body's surface.
 #[derive(Clone, Debug)]
-pub struct Piece {
+pub struct Collider {
     /// Its shape, in the thing's frame.
     pub shape: Shape,
     /// What it touches.
-    pub meets: Meets,
+    pub meets: CollisionMask,
 }
 
-/// What a piece of a thing touches. Things do not touch each other.
+/// What a collider collides with. Bodies do not collide with each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Meets {
+pub enum CollisionMask {
     /// Fingers and wrists.
     Instrument,
     /// The ground.
@@ -114,16 +114,16 @@ const NEEDLE_INERTIA: f64 = 3.0;
 /// Balls along the needle that rest on the tissue: a ball meets a smooth surface in one point, and three carry it.
 const NEEDLE_BEADS: usize = 9;
 
-impl Thing {
+impl RigidBody {
     /// A needle as a chain of capsules for fingers and hard ground alike.
     #[must_use]
     pub fn bare_needle(shape: &NeedleShape, in_scene: Pose) -> Self {
         let mut needle = Self::needle(shape, in_scene);
         needle
             .pieces
-            .retain(|piece| piece.meets == Meets::Instrument);
+            .retain(|piece| piece.meets == CollisionMask::Instrument);
         for piece in &mut needle.pieces {
-            piece.meets = Meets::Both;
+            piece.meets = CollisionMask::Both;
         }
         needle
     }
@@ -134,20 +134,20 @@ impl Thing {
         let mass = shape.mass_properties();
         let points = shape.centre_line(capsule_count(shape) + 1);
         let radius_m = shape.wire_radius_m;
-        let wire = points.windows(2).map(|pair| Piece {
+        let wire = points.windows(2).map(|pair| Collider {
             shape: Shape::Capsule {
                 from: pair[0],
                 to: pair[1],
                 radius_m,
             },
-            meets: Meets::Instrument,
+            meets: CollisionMask::Instrument,
         });
         let beads = shape
             .centre_line(NEEDLE_BEADS)
             .into_iter()
-            .map(|centre| Piece {
+            .map(|centre| Collider {
                 shape: Shape::Ball { centre, radius_m },
-                meets: Meets::Ground,
+                meets: CollisionMask::Ground,
             });
         Self {
             in_scene,

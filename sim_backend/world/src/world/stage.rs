@@ -14,7 +14,7 @@ use super::config::{Surface, WorldConfig};
 use super::contact::{Contact, Row, Side, THING_DOF};
 use super::detect::Detector;
 use super::newton::{Axis, Masses, Newton};
-use super::scenery::{Ground, Meets, Scenery};
+use super::scenery::{CollisionMask, Ground, Scenery};
 use super::shapes::{Body, instrument, sample_points};
 use super::stick::Memory;
 use super::thing::Moving;
@@ -39,7 +39,7 @@ struct Instrument {
 /// A thing with what it meets others with.
 struct ThingOnStage {
     moving: Moving,
-    pieces: Vec<(Body, Meets)>,
+    pieces: Vec<(Body, CollisionMask)>,
     /// Sum of the normal forces of the ground in the newest step, N.
     ground_n: f64,
     /// Deepest overlap with the ground, m.

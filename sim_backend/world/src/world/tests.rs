@@ -2,7 +2,7 @@
 
 use core::f64::consts::TAU;
 
-use super::{ArmStart, Ground, Scenery, Thing, World};
+use super::{ArmStart, Ground, RigidBody, Scenery, World};
 use crate::needle::NeedleShape;
 use crate::needle::tests::HALF_CIRCLE;
 use crate::organ::Organ;
@@ -58,7 +58,7 @@ impl Bench {
         let needle = Pose::from_parts(centre.into(), lying);
         let config = shipped::world(task);
         let scenery = Scenery {
-            things: vec![Thing::needle(shape, needle)],
+            things: vec![RigidBody::needle(shape, needle)],
             ground: Ground::Organ(Organ::Rolling(BACK_MUSCLE)),
             flap: None,
         };

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::contact::THING_DOF;
 use super::newton::ThingMass;
-use super::scenery::Thing;
+use super::scenery::RigidBody;
 use super::shapes::Body;
 
 /// A thing near which no instrument is falls asleep once no point of it has been faster than this, m/s, for 0.1 s; it
@@ -14,7 +14,7 @@ pub const REST_M_S: f64 = 2e-5;
 /// How long it lies that still before it falls asleep, s.
 const REST_S: f64 = 0.1;
 
-/// A rigid thing in motion.
+/// A rigid body in motion.
 pub(super) struct Moving {
     /// The thing's frame in the scene.
     pub(super) pose: Pose,
@@ -33,7 +33,7 @@ pub(super) struct Moving {
 }
 
 impl Moving {
-    pub(super) fn new(thing: &Thing) -> Self {
+    pub(super) fn new(thing: &RigidBody) -> Self {
         let turn = thing.axes.to_rotation_matrix().into_inner();
         let inertia = turn * Matrix3::from_diagonal(&thing.inertia) * turn.transpose();
         let inverse = thing.inertia.map(|moment| 1.0 / moment);

@@ -2,7 +2,7 @@
 
 use super::super::arm::CanArm;
 use super::super::cycle::{Cycle, Goal};
-use super::super::link::{Bus, Received, Trouble};
+use super::super::link::{Bus, ControllerEvent, Received};
 use super::{BringUpError, Homed};
 use crate::cia301::{Cob, NmtState};
 use crate::cia402::PowerState;
@@ -86,7 +86,11 @@ fn begin<B: Bus>(homed: Homed<B>, start: TimeNs) -> CanArm<B> {
     } = homed;
     let mut cycle = Cycle::new(&plan, start);
     for line in (0..plan.lines).filter(|line| watched.is_passive(*line)) {
-        cycle.on_received(line, start, &Received::Trouble(Trouble::ErrorPassive));
+        cycle.on_received(
+            line,
+            start,
+            &Received::ControllerEvent(ControllerEvent::ErrorPassive),
+        );
     }
     let mut bus = watched.bus;
     for line in 0..plan.lines {

@@ -1,7 +1,7 @@
 //! Why an arm did not come up, with the node and the object.
 
 use super::super::fault::Fault;
-use super::super::plan::Who;
+use super::super::plan::AxisNode;
 use super::Step;
 use crate::bus_load::Overload;
 use crate::cia301::emcy::{ErrorCode, ErrorRegister};
@@ -47,7 +47,7 @@ pub enum BringUpError {
     },
     /// A node does not boot up when it is reset.
     #[error("{0}: does not answer to a reset")]
-    Missing(Who),
+    Missing(AxisNode),
     /// A node does not answer a transfer.
     #[error("node {node}: no answer about {address}")]
     NoAnswer {
@@ -78,7 +78,7 @@ pub enum BringUpError {
     #[error("{who}: {address} is {found:#x} instead of {expected:#x}")]
     Identity {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// The object.
         address: Address,
         /// What it should be.
@@ -90,7 +90,7 @@ pub enum BringUpError {
     #[error("{who}: has no {mode:?} mode")]
     Mode {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// The mode.
         mode: Mode,
     },
@@ -134,7 +134,7 @@ pub enum BringUpError {
     #[error("{who}: homing failed, status word {status:#06x}")]
     Homing {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// What it says.
         status: u32,
     },
@@ -142,7 +142,7 @@ pub enum BringUpError {
     #[error("{who}: does not offer homing method {method}")]
     HomingMethod {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// 6098h.
         method: i8,
     },
@@ -150,7 +150,7 @@ pub enum BringUpError {
     #[error("{who}: homing error, status word {status:#06x}")]
     HomingError {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// Its status word, with bit 13.
         status: u32,
     },
@@ -158,7 +158,7 @@ pub enum BringUpError {
     #[error("{who}: homing not complete after {limit_s} s, status word {status:#06x}")]
     HomingTimeOut {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// The time limit.
         limit_s: f64,
         /// Its status word.
@@ -168,13 +168,13 @@ pub enum BringUpError {
     #[error("{who}: homing was cancelled")]
     Cancelled {
         /// The node.
-        who: Who,
+        who: AxisNode,
     },
     /// A drive is in fault when it is to be homed.
     #[error("{who}: is in fault: {code}; bring-up resets no faults")]
     Faulty {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// What its object 603Fh says.
         code: ErrorCode,
     },
@@ -182,7 +182,7 @@ pub enum BringUpError {
     #[error("{who}: has an error before the first SYNC, its 1001h says {register}")]
     Unsound {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// What it says.
         register: ErrorRegister,
     },
@@ -192,7 +192,7 @@ pub enum BringUpError {
     )]
     Forgotten {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// The object.
         address: Address,
         /// What it was given.
@@ -204,7 +204,7 @@ pub enum BringUpError {
     #[error("{who}: booted up again, {step}")]
     Rebooted {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// When it was heard.
         step: Step,
     },
@@ -212,7 +212,7 @@ pub enum BringUpError {
     #[error("{who}: emergency {code}, {step}")]
     Emergency {
         /// The node.
-        who: Who,
+        who: AxisNode,
         /// Its error code.
         code: ErrorCode,
         /// When it was heard.

@@ -10,11 +10,11 @@ use core::pin::{Pin, pin};
 use core::task::{Context, Poll, Waker};
 
 use super::super::cycle::LINES_MAX;
-use super::super::link::{Bus, Received, Trouble};
+use super::super::link::{Bus, ControllerEvent, Received};
 use super::super::plan::ArmPlan;
 use super::BringUpError;
 use super::timed::{LOOK_NS, TIMEOUT_NS};
-use super::watched::Watched;
+use super::watched::MonitoredBuses;
 use crate::Frame;
 use crate::cia301::cob::SYNC_ID;
 use crate::cia301::sync::Sync;
@@ -28,10 +28,10 @@ const HOMING_CYCLES: u64 = 2;
 /// who may lead drives on it. A heartbeat that waits behind transfers would hold up the SYNC behind it.
 const TRANSFER_BITS: u64 = 540;
 
-/// Whose turn it is to begin a transfer on a bus.
+/// A ticket lock: who may begin the next transfer on a bus.
 #[derive(Debug, Default)]
-struct Turns {
-    /// Turns given out, and turns taken.
+struct TicketLock {
+    /// Tickets issued, and tickets served.
     given: Cell<u64>,
     taken: Cell<u64>,
     /// When the next one may be taken.
@@ -50,7 +50,7 @@ pub(in super::super) struct Exchange<'a, B> {
     off: [Cell<bool>; LINES_MAX],
     /// Set-points that go out with each SYNC, with their buses.
     set_points: [Cell<Option<(u8, Frame)>>; TAIL_AXES],
-    turns: [Turns; LINES_MAX],
+    turns: [TicketLock; LINES_MAX],
     /// Least time between the beginnings of two transfers, ns.
     transfer_ns: u64,
     sync: Frame,
@@ -123,10 +123,12 @@ impl<'a, B: Bus> Exchange<'a, B> {
             bus.receive(line, &mut |received| match received {
                 Received::Frame(frame) => frames.push((line, frame)),
                 // What a controller that was restarted has missed is not known.
-                Received::Trouble(Trouble::BusOff | Trouble::Restarted | Trouble::Down) => {
+                Received::ControllerEvent(
+                    ControllerEvent::BusOff | ControllerEvent::Restarted | ControllerEvent::Down,
+                ) => {
                     self.off[usize::from(line)].set(true);
                 }
-                Received::Trouble(_) => {}
+                Received::ControllerEvent(_) => {}
             });
         }
         self.looks.set(self.looks.get() + 1);
@@ -297,7 +299,7 @@ pub(in super::super) fn alone<B: Bus, T>(
     }
 }
 
-impl<B: Bus> Watched<B> {
+impl<B: Bus> MonitoredBuses<B> {
     /// The sequence of each of `axes`, side by side. The first error ends all of them, and so does what [`Self::judge`] will name.
     pub(super) fn side_by_side<T>(
         &mut self,

@@ -4,9 +4,9 @@
 //! alone, by the drive's own homing sequence (CiA 402-2, clause 10), one axis after the other in the order of the plan.
 
 use super::super::link::Bus;
-use super::super::plan::{ArmPlan, HomingPlan, Who};
+use super::super::plan::{ArmPlan, AxisNode, HomingPlan};
 use super::exchange::Exchange;
-use super::watched::Watched;
+use super::watched::MonitoredBuses;
 use super::writer::{Writer, is_missing};
 use super::{BringUpError, Step};
 use crate::cia301::cob::PdoNumber;
@@ -28,7 +28,7 @@ pub(super) type Homes = [Option<u32>; TAIL_AXES];
 
 /// Homes all axes.
 pub(super) fn home_all<B: Bus>(
-    bus: &mut Watched<B>,
+    bus: &mut MonitoredBuses<B>,
     plan: &ArmPlan,
 ) -> Result<Homes, BringUpError> {
     let mut homes = [None; TAIL_AXES];
@@ -52,7 +52,7 @@ fn moving(plan: &ArmPlan, axis: usize) -> Option<&HomingPlan> {
 
 /// Homes `axes` side by side. Whatever it comes to, their drives are let go.
 fn home<B: Bus>(
-    bus: &mut Watched<B>,
+    bus: &mut MonitoredBuses<B>,
     plan: &ArmPlan,
     axes: &[usize],
     homes: &mut Homes,
@@ -77,7 +77,7 @@ fn home<B: Bus>(
 
 /// Lets go the drives of `axes`, which are at `positions` (counts) and whose homing is `complete` or was ended.
 fn let_all_go<B: Bus>(
-    bus: &mut Watched<B>,
+    bus: &mut MonitoredBuses<B>,
     plan: &ArmPlan,
     axes: &[usize],
     positions: &[u32; TAIL_AXES],
@@ -92,7 +92,7 @@ fn let_all_go<B: Bus>(
 
 /// Puts the drives of `axes`, which are at `positions` (counts), into the mode of the control loop.
 fn set_cyclic_position<B: Bus>(
-    bus: &mut Watched<B>,
+    bus: &mut MonitoredBuses<B>,
     plan: &ArmPlan,
     axes: &[usize],
     positions: &[u32; TAIL_AXES],
@@ -110,7 +110,7 @@ struct Axis<'a, 'b, B> {
     exchange: &'a Exchange<'b, B>,
     plan: &'a ArmPlan,
     axis: usize,
-    who: Who,
+    who: AxisNode,
     /// Where it stood before, counts: the target position of its set-points, which no drive follows in this mode.
     position: u32,
 }
@@ -296,7 +296,7 @@ impl<'a, 'b, B: Bus> Axis<'a, 'b, B> {
         limit_ns: u64,
         reached: impl Fn(&Status) -> bool,
     ) -> Result<End, BringUpError> {
-        let Who { line, node, .. } = self.who;
+        let AxisNode { line, node, .. } = self.who;
         let [a, b] = control.emit().to_le_bytes();
         let [c, d, e, f] = self.position.to_le_bytes();
         let id = Cob::ReceivePdo(PdoNumber::FIRST, node).id();

@@ -3,7 +3,7 @@
 use core::fmt;
 
 use super::super::fault::is_harmless;
-use super::super::plan::{ArmPlan, Who};
+use super::super::plan::{ArmPlan, AxisNode};
 use super::BringUpError;
 use crate::cia301::emcy::ErrorCode;
 use crate::cia301::{Cob, Emergency, NmtState};
@@ -82,11 +82,11 @@ impl Step {
         }
     }
 
-    const fn rebooted(self, who: Who) -> BringUpError {
+    const fn rebooted(self, who: AxisNode) -> BringUpError {
         BringUpError::Rebooted { who, step: self }
     }
 
-    const fn emergency(self, who: Who, code: ErrorCode) -> BringUpError {
+    const fn emergency(self, who: AxisNode, code: ErrorCode) -> BringUpError {
         BringUpError::Emergency {
             who,
             code,

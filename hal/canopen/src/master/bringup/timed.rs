@@ -1,6 +1,6 @@
 //! Frames of one bus, sent and awaited with a time limit.
 
-use super::super::link::{Bus, Received, Trouble};
+use super::super::link::{Bus, ControllerEvent, Received};
 use super::BringUpError;
 use crate::Frame;
 
@@ -54,8 +54,10 @@ fn look<B: Bus, T>(
             }
         }
         // What a controller that was restarted has missed is not known.
-        Received::Trouble(Trouble::BusOff | Trouble::Restarted | Trouble::Down) => off = true,
-        Received::Trouble(_) => {}
+        Received::ControllerEvent(
+            ControllerEvent::BusOff | ControllerEvent::Restarted | ControllerEvent::Down,
+        ) => off = true,
+        Received::ControllerEvent(_) => {}
     });
     if off {
         return Err(BringUpError::Off { line });

@@ -5,7 +5,7 @@ use std::sync::mpsc::Sender;
 
 use super::super::cycle::LINES_MAX;
 use super::super::foreign::leads;
-use super::super::link::{Bus, Received, Trouble};
+use super::super::link::{Bus, ControllerEvent, Received};
 use super::super::plan::ArmPlan;
 use super::timed::{expect, send};
 use super::{BringUpError, Step};
@@ -17,9 +17,9 @@ use hal::tail::TAIL_AXES;
 /// How often a bus is looked at for what came before bring-up: one that is never silent ends that, too.
 const LOOKS_MAX: u32 = 16;
 
-/// Buses, and what was heard on them that ends the bring-up.
+/// Buses, and the events received on them that end the bring-up.
 #[derive(Debug)]
-pub(super) struct Watched<B> {
+pub(super) struct MonitoredBuses<B> {
     pub(super) bus: B,
     plan: ArmPlan,
     step: Step,
@@ -39,7 +39,7 @@ pub(super) struct Watched<B> {
     pub(super) cancelled: Option<fn() -> bool>,
 }
 
-impl<B: Bus> Watched<B> {
+impl<B: Bus> MonitoredBuses<B> {
     pub(super) fn new(bus: B, plan: &ArmPlan) -> Self {
         Self {
             bus,
@@ -120,11 +120,11 @@ impl<B: Bus> Watched<B> {
                 self.receive(line, &mut |received| {
                     silent = false;
                     match received {
-                        Received::Trouble(Trouble::BusOff) => off = true,
-                        Received::Trouble(Trouble::Restarted) => off = false,
+                        Received::ControllerEvent(ControllerEvent::BusOff) => off = true,
+                        Received::ControllerEvent(ControllerEvent::Restarted) => off = false,
                         // The system tells it before what came earlier, and never that it is over.
-                        Received::Trouble(Trouble::Down) => down = true,
-                        Received::Trouble(_) | Received::Frame(_) => {}
+                        Received::ControllerEvent(ControllerEvent::Down) => down = true,
+                        Received::ControllerEvent(_) | Received::Frame(_) => {}
                     }
                 });
                 if silent {
@@ -148,7 +148,7 @@ impl<B: Bus> Watched<B> {
     }
 }
 
-impl<B: Bus> Bus for Watched<B> {
+impl<B: Bus> Bus for MonitoredBuses<B> {
     fn now(&self) -> TimeNs {
         self.bus.now()
     }
@@ -179,7 +179,9 @@ impl<B: Bus> Bus for Watched<B> {
         } = self;
         let mut passive = passive.get_mut(usize::from(line));
         bus.receive(line, &mut |received| {
-            if let (Received::Trouble(trouble), Some(passive)) = (received, passive.as_mut()) {
+            if let (Received::ControllerEvent(trouble), Some(passive)) =
+                (received, passive.as_mut())
+            {
                 **passive = is_passive_after(trouble, **passive);
             }
             if let Received::Frame(frame) = received {
@@ -191,7 +193,7 @@ impl<B: Bus> Bus for Watched<B> {
                     *upset = step.upset(plan, set_up, line, &frame);
                 }
             }
-            if let Received::Trouble(Trouble::Lost(count)) = received
+            if let Received::ControllerEvent(ControllerEvent::Lost(count)) = received
                 && *spoke
             {
                 let step = *step;
@@ -216,11 +218,14 @@ impl<B: Bus> Bus for Watched<B> {
 }
 
 /// Whether a controller is error passive once it has reported `trouble`.
-const fn is_passive_after(trouble: Trouble, was: bool) -> bool {
+const fn is_passive_after(trouble: ControllerEvent, was: bool) -> bool {
     match trouble {
-        Trouble::ErrorPassive => true,
-        Trouble::ErrorActive | Trouble::Restarted => false,
-        Trouble::BusOff | Trouble::Lost(_) | Trouble::Foreign | Trouble::Down => was,
+        ControllerEvent::ErrorPassive => true,
+        ControllerEvent::ErrorActive | ControllerEvent::Restarted => false,
+        ControllerEvent::BusOff
+        | ControllerEvent::Lost(_)
+        | ControllerEvent::Foreign
+        | ControllerEvent::Down => was,
     }
 }
 

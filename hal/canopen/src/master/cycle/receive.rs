@@ -2,7 +2,7 @@
 
 use super::super::fault::{Fault, is_harmless};
 use super::super::foreign::leads;
-use super::super::link::{Received, Trouble};
+use super::super::link::{ControllerEvent, Received};
 use super::Cycle;
 use crate::cia301::cob::PdoNumber;
 use crate::cia301::emcy::ErrorCode;
@@ -15,32 +15,32 @@ impl Cycle {
     pub fn on_received(&mut self, line: u8, now: TimeNs, received: &Received) {
         match received {
             Received::Frame(frame) => self.on_frame(line, now, frame),
-            Received::Trouble(trouble) => self.on_trouble(line, now, *trouble),
+            Received::ControllerEvent(trouble) => self.on_controller_event(line, now, *trouble),
         }
     }
 
-    fn on_trouble(&mut self, line: u8, now: TimeNs, trouble: Trouble) {
+    fn on_controller_event(&mut self, line: u8, now: TimeNs, trouble: ControllerEvent) {
         let Some(health) = self.lines.get_mut(usize::from(line)) else {
             return;
         };
         match trouble {
             // Whoever restarted the controller, what it missed is not known.
-            Trouble::BusOff | Trouble::Restarted => {
+            ControllerEvent::BusOff | ControllerEvent::Restarted => {
                 health.off = true;
                 self.latch(now, Fault::BusOff { line });
             }
-            Trouble::Down => {
+            ControllerEvent::Down => {
                 health.off = true;
                 self.latch(now, Fault::Down { line });
             }
-            Trouble::ErrorPassive => {
+            ControllerEvent::ErrorPassive => {
                 // Each error in that state is reported anew.
                 health.passives += u64::from(!health.passive);
                 health.passive = true;
             }
-            Trouble::ErrorActive => health.passive = false,
-            Trouble::Lost(count) => health.lost += u64::from(count),
-            Trouble::Foreign => health.foreign += 1,
+            ControllerEvent::ErrorActive => health.passive = false,
+            ControllerEvent::Lost(count) => health.lost += u64::from(count),
+            ControllerEvent::Foreign => health.foreign += 1,
         }
     }
 

@@ -18,7 +18,7 @@ use crate::cuda_graph::NetworkGraph;
 use crate::dimension::length;
 use crate::layers::affine::{Affine, Backend};
 use backbone::FoldedBackbone;
-pub(crate) use trunk::{FoldedTrunk, Situated};
+pub(crate) use trunk::{FoldedEncoderInput, FoldedTrunk};
 
 /// An ACT network for inference.
 #[derive(Debug)]
@@ -93,7 +93,7 @@ impl Network {
         let tokens = rows.f_unflatten(0, [batch, -1])?;
         let position = None;
         self.trunk.infer(
-            &Situated {
+            &FoldedEncoderInput {
                 tokens: &tokens,
                 position,
             },

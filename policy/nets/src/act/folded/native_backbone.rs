@@ -11,12 +11,12 @@ use crate::layers::vectors::Processor;
 #[derive(Debug)]
 pub(super) struct NativeBackbone {
     stem: Stem,
-    blocks: Vec<OwnBlock>,
+    blocks: Vec<NativeBlock>,
     workspace: Workspace,
 }
 
 #[derive(Debug)]
-struct OwnBlock {
+struct NativeBlock {
     first: Convolution,
     second: Convolution,
     downsample: Option<Convolution>,
@@ -53,7 +53,7 @@ impl NativeBackbone {
         let mut blocks = Vec::new();
         for block in &backbone.blocks {
             sides = sides.map(|side| side.div_ceil(length(block.first.stride).max(1)));
-            blocks.push(OwnBlock::new(block, sides)?);
+            blocks.push(NativeBlock::new(block, sides)?);
         }
         Ok(Self {
             stem: Stem::new(&weight, &bias)?,
@@ -74,7 +74,7 @@ impl NativeBackbone {
     }
 }
 
-impl OwnBlock {
+impl NativeBlock {
     /// `sides` are those of its outputs.
     fn new(block: &Block, sides: [usize; 2]) -> Result<Self, TchError> {
         let downsample = block.downsample.as_ref();

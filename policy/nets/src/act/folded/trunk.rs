@@ -23,9 +23,9 @@ pub(crate) struct FoldedTrunk {
     action_head: Affine,
 }
 
-/// What the network sees, as tokens.
+/// The encoder's input tokens.
 #[derive(Clone, Copy)]
-pub(crate) struct Situated<'a> {
+pub(crate) struct FoldedEncoderInput<'a> {
     /// `(batch, tokens, width)`.
     pub(crate) tokens: &'a Tensor,
     /// Where they are, if building did not know it: `(batch, tokens, width)`.
@@ -117,7 +117,11 @@ impl FoldedTrunk {
     }
 
     /// The chunk `(batch, steps, action)` in single precision.
-    pub(crate) fn infer(&self, seen: &Situated<'_>, state: &Tensor) -> Result<Tensor, TchError> {
+    pub(crate) fn infer(
+        &self,
+        seen: &FoldedEncoderInput<'_>,
+        state: &Tensor,
+    ) -> Result<Tensor, TchError> {
         let (kind, batch) = (self.latent.kind(), seen.tokens.size()[0]);
         let state = self.state_input.forward(&state.f_to_kind(kind)?)?;
         let latent = self.latent.f_expand([batch, -1, -1], false)?;

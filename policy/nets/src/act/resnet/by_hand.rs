@@ -1,24 +1,24 @@
-//! The backbone's training with kernels of our own between the convolutions: forward, keeping what the way back needs, and back.
+//! The backbone's training with kernels of our own between the convolutions: forward, saving what the backward pass needs, and backward.
 
 use tch::{TchError, Tensor};
 
 use super::{Block, Conv, Norm, ResNet18};
 use crate::by_name::convolution_backward;
-use crate::kernels::{Affine, Kept, Kernels, OfAffine};
+use crate::kernels::{Affine, Kernels, OfAffine, SavedForBackward};
 
-/// What the way back needs of the backbone's way forward.
-pub struct KeptPass {
+/// What the backward pass needs of the backbone's forward pass.
+pub struct SavedActivations {
     images: Tensor,
     /// The stem's answer, which of nine pixels it is of, and what it was made of.
-    stem: (Tensor, Tensor, Kept),
+    stem: (Tensor, Tensor, SavedForBackward),
     blocks: Vec<KeptBlock>,
 }
 
 struct KeptBlock {
-    first: Kept,
+    first: SavedForBackward,
     between: Tensor,
-    second: Kept,
-    downsample: Option<Kept>,
+    second: SavedForBackward,
+    downsample: Option<SavedForBackward>,
     answer: Tensor,
 }
 
@@ -32,7 +32,7 @@ impl ResNet18 {
         &self,
         kernels: &Kernels,
         images: &Tensor,
-    ) -> Result<(Tensor, KeptPass), TchError> {
+    ) -> Result<(Tensor, SavedActivations), TchError> {
         let stem = kernels.pooled(self.stem.convolve(images)?, &self.stem.affine())?;
         let mut x = stem.0.shallow_clone();
         let mut blocks = Vec::with_capacity(self.blocks.len());
@@ -41,7 +41,7 @@ impl ResNet18 {
             x = kept.answer.shallow_clone();
             blocks.push(kept);
         }
-        let kept = KeptPass {
+        let kept = SavedActivations {
             images: images.shallow_clone(),
             stem,
             blocks,
@@ -54,7 +54,7 @@ impl ResNet18 {
         &self,
         kernels: &Kernels,
         gradient: &Tensor,
-        kept: &KeptPass,
+        kept: &SavedActivations,
     ) -> Result<Gradients, TchError> {
         let mut found = Vec::new();
         let mut gradient = channels_last(gradient)?;

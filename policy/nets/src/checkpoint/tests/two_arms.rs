@@ -39,11 +39,11 @@ fn a_policy_of_two_arms_answers_with_a_chunk_for_each() {
     assert_eq!(policy.recipe().arms, 2);
     let frame = frame();
     let frames = [frame.as_frame()];
-    let far = SeenArm {
+    let far = ArmObservation {
         tip_in_rcm: Pose::translation(0.0, 0.0, -0.2),
         ..arm(0.3)
     };
-    let ask = |arms: &[SeenArm], policy: &mut ActPolicy| {
+    let ask = |arms: &[ArmObservation], policy: &mut ActPolicy| {
         policy.infer(&Observation {
             arms,
             frames: &frames,

@@ -2,7 +2,7 @@
 
 use tch::{Kind, Tensor};
 
-use super::{After, Matrix};
+use super::{Epilogue, Matrix};
 use crate::layers::seeded::numbers;
 use crate::layers::vectors::Processor;
 
@@ -23,7 +23,7 @@ fn processors() -> Vec<Processor> {
 fn apply(processor: Processor, [x, weight, bias]: [&Tensor; 3], rectified: bool) -> Tensor {
     let bias = &list(bias);
     let matrix = Matrix::new(processor, weight).unwrap();
-    matrix.apply(x, After { bias, rectified }).unwrap()
+    matrix.apply(x, Epilogue { bias, rectified }).unwrap()
 }
 
 /// `bias_rows` is 1 for a bias that all rows share.
@@ -134,7 +134,7 @@ fn misfits_are_refused() {
     let refused = |x: &Tensor, bias: usize| {
         let bias = &vec![0.0; bias];
         let rectified = false;
-        let error = matrix.apply(x, After { bias, rectified }).unwrap_err();
+        let error = matrix.apply(x, Epilogue { bias, rectified }).unwrap_err();
         error.to_string()
     };
     let x = numbers("x", &[6, 8]);

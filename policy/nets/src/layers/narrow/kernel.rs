@@ -3,7 +3,7 @@
 use super::columns::Columns;
 use super::weights::Stored;
 use super::{PANEL, Place};
-use crate::layers::vectors::{Vectors, Work};
+use crate::layers::vectors::{SimdKernel, Vectors};
 
 /// Prefetch distance, bytes, as measured.
 const AHEAD: usize = 2048;
@@ -20,13 +20,13 @@ pub(super) struct To<'a> {
 }
 
 /// All of `panels` by `columns`.
-pub(super) struct Product<'a, T> {
+pub(super) struct Gemm<'a, T> {
     pub(super) panels: &'a [T],
     pub(super) columns: &'a Columns,
     pub(super) to: To<'a>,
 }
 
-impl<T: Stored> Work for Product<'_, T> {
+impl<T: Stored> SimdKernel for Gemm<'_, T> {
     #[inline(always)]
     fn run<V: Vectors>(self, simd: V) {
         let Self {

@@ -4,7 +4,7 @@
 use half::f16;
 use tch::{Kind, Tensor};
 
-use super::weights::{Single, Weights, panels};
+use super::weights::{F32, Weights, panels};
 use super::{Columns, Narrow, Place, Windows};
 use crate::layers::vectors::Processor;
 use hal::random::SplitMix64;
@@ -130,7 +130,7 @@ fn every_number_of_half_precision_is_widened_exactly() {
     for processor in processors() {
         let mut narrow = narrow(processor, &every, every.len());
         narrow.bias.fill(0.0);
-        assert!(matches!(narrow.weights, Weights::Half(_)));
+        assert!(matches!(narrow.weights, Weights::F16(_)));
         assert_eq!(product(&narrow, &[1.0], 1), every);
     }
 }
@@ -138,7 +138,7 @@ fn every_number_of_half_precision_is_widened_exactly() {
 #[test]
 fn weights_lie_in_the_fewest_bits_that_hold_all_of_them() {
     let half = halves(&numbers("weights", 96));
-    assert!(matches!(Weights::new(&half, 6), Weights::Half(_)));
+    assert!(matches!(Weights::new(&half, 6), Weights::F16(_)));
     let with = |odd: f32| {
         let mut weights = half.clone();
         weights[77] = odd;
@@ -148,7 +148,7 @@ fn weights_lie_in_the_fewest_bits_that_hold_all_of_them() {
     for odd in [1e-9, 65_520.0, 0.1, f32::NAN] {
         let weights = with(odd);
         assert!(
-            matches!(Weights::new(&weights, 6), Weights::Single(_)),
+            matches!(Weights::new(&weights, 6), Weights::F32(_)),
             "{odd}"
         );
     }
@@ -157,12 +157,12 @@ fn weights_lie_in_the_fewest_bits_that_hold_all_of_them() {
         .iter()
         .map(|number| f32::from_bits(number.to_bits() & 0xffff_0000))
         .collect();
-    assert!(matches!(Weights::new(&few, 6), Weights::Half(_)));
+    assert!(matches!(Weights::new(&few, 6), Weights::F16(_)));
     let tiny: Vec<f32> = few
         .iter()
         .map(|number| number * 2.0_f32.powi(-60))
         .collect();
-    assert!(matches!(Weights::new(&tiny, 6), Weights::Brain(_)));
+    assert!(matches!(Weights::new(&tiny, 6), Weights::Bf16(_)));
     check_same_bits(&tiny, 6);
     check_same_bits(&half, 6);
 }
@@ -174,9 +174,9 @@ fn check_same_bits(weights: &[f32], rows: usize) {
     let x = numbers("x", rows * 4);
     for processor in processors() {
         let mut narrow = narrow(processor, weights, outputs);
-        assert!(!matches!(narrow.weights, Weights::Single(_)));
+        assert!(!matches!(narrow.weights, Weights::F32(_)));
         let answer = product(&narrow, &x, 4);
-        narrow.weights = Weights::Single(panels(weights, rows).map(Single).collect());
+        narrow.weights = Weights::F32(panels(weights, rows).map(F32).collect());
         assert_eq!(product(&narrow, &x, 4), answer);
     }
 }

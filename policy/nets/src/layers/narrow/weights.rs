@@ -5,20 +5,20 @@ use half::{bf16, f16};
 use super::PANEL;
 use crate::layers::vectors::Vectors;
 
-/// A row of a panel in half precision, bits.
+/// A row of a panel in half precision (f16), bits.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(32))]
-pub(super) struct Half([u16; PANEL]);
+pub(super) struct F16([u16; PANEL]);
 
-/// A row of a panel as the upper halves of numbers in single precision (bfloat16).
+/// A row of a panel in bfloat16, bits.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(32))]
-pub(super) struct Brain([u16; PANEL]);
+pub(super) struct Bf16([u16; PANEL]);
 
 /// A row of a panel in single precision.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
-pub(super) struct Single(pub(super) [f32; PANEL]);
+pub(super) struct F32(pub(super) [f32; PANEL]);
 
 /// How a row of a panel lies in memory.
 pub(super) trait Stored: Copy + Sync {
@@ -29,21 +29,21 @@ pub(super) trait Stored: Copy + Sync {
 /// For each panel of outputs, for each row: a number for each output, zeros where there is none.
 #[derive(Debug)]
 pub(super) enum Weights {
-    Half(Vec<Half>),
-    Brain(Vec<Brain>),
-    Single(Vec<Single>),
+    F16(Vec<F16>),
+    Bf16(Vec<Bf16>),
+    F32(Vec<F32>),
 }
 
 impl Weights {
     /// Of `values` `(outputs, rows)`.
     pub(super) fn new(values: &[f32], rows: usize) -> Self {
-        if let Some(panels) = panels(values, rows).map(Half::holding).collect() {
-            return Self::Half(panels);
+        if let Some(panels) = panels(values, rows).map(F16::holding).collect() {
+            return Self::F16(panels);
         }
-        if let Some(panels) = panels(values, rows).map(Brain::holding).collect() {
-            return Self::Brain(panels);
+        if let Some(panels) = panels(values, rows).map(Bf16::holding).collect() {
+            return Self::Bf16(panels);
         }
-        Self::Single(panels(values, rows).map(Single).collect())
+        Self::F32(panels(values, rows).map(F32).collect())
     }
 }
 
@@ -61,7 +61,7 @@ pub(super) fn panels(values: &[f32], rows: usize) -> impl Iterator<Item = [f32; 
     })
 }
 
-impl Half {
+impl F16 {
     /// The numbers, if all can be held as they are, to the bit.
     fn holding(row: [f32; PANEL]) -> Option<Self> {
         let halves = row.map(f16::from_f32);
@@ -74,14 +74,14 @@ impl Half {
     }
 }
 
-impl Stored for Half {
+impl Stored for F16 {
     #[inline(always)]
     fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s {
         simd.half(&self.0[part * V::F32_LANES..][..V::F32_LANES])
     }
 }
 
-impl Brain {
+impl Bf16 {
     /// The numbers, if all can be held as they are, to the bit.
     fn holding(row: [f32; PANEL]) -> Option<Self> {
         let exact = row.iter().all(|number| number.to_bits() << 16 == 0);
@@ -89,14 +89,14 @@ impl Brain {
     }
 }
 
-impl Stored for Brain {
+impl Stored for Bf16 {
     #[inline(always)]
     fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s {
         simd.brain(&self.0[part * V::F32_LANES..][..V::F32_LANES])
     }
 }
 
-impl Stored for Single {
+impl Stored for F32 {
     #[inline(always)]
     fn widened<V: Vectors>(&self, simd: V, part: usize) -> V::f32s {
         simd.single(&self.0[part * V::F32_LANES..][..V::F32_LANES])

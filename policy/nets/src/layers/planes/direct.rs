@@ -1,8 +1,8 @@
-//! Convolutions tap by tap: of any stride, and of pictures that are too small for tiles.
+//! Convolutions tap by tap: of any stride, and of images that are too small for tiles.
 
 use tch::{TchError, Tensor};
 
-use super::{Ending, Plane, Size, Workspace, bias_of, shape_of};
+use super::{Epilogue, Plane, Size, Workspace, bias_of, shape_of};
 use crate::layers::aligned::Aligned;
 use crate::layers::kernel::{InRegisters, PANEL, Summing, Sums, accumulate, panels};
 use crate::layers::vectors::Vectors;
@@ -56,7 +56,7 @@ impl Direct {
         })
     }
 
-    /// The size of what the convolution of pictures of size `before` gives.
+    /// The size of what the convolution of images of size `before` gives.
     fn size_after(&self, before: Size) -> Size {
         let Steps { stride, padding } = self.steps;
         let along = |length: usize| match (length + 2 * padding).checked_sub(self.side) {
@@ -80,7 +80,7 @@ impl Direct {
     ) -> Result<Plane, TchError> {
         let size = self.size_after(x.size);
         x.check_channels(self.inputs)?;
-        let ending = Ending::new(&self.bias, beside, self.rectified, size)?;
+        let ending = Epilogue::new(&self.bias, beside, self.rectified, size)?;
         let mut out = workspace.plane(size);
         if size.numbers() > 0 {
             workspace.processor.run(InRegisters(Taps {
@@ -100,9 +100,9 @@ impl Direct {
 struct Taps<'a> {
     convolution: &'a Direct,
     x: &'a Plane,
-    /// What lies outside of a picture.
+    /// What lies outside of an image.
     zeros: &'a [f32],
-    ending: Ending<'a>,
+    ending: Epilogue<'a>,
     /// Of the outputs.
     size: Size,
     out: &'a mut [f32],
@@ -121,15 +121,15 @@ impl Summing for Taps<'_> {
         let row = steps.stride * self.x.size.width * inputs;
         let rows = (BLOCK / row.max(1)).clamp(1, self.size.height);
         let pixels = self.size.height * self.size.width;
-        for picture in 0..self.size.pictures {
+        for image in 0..self.size.batch {
             for first in (0..pixels).step_by(rows * self.size.width) {
                 let end = pixels.min(first + rows * self.size.width);
                 let panels = weight.chunks_exact(side * side * inputs * PANEL);
                 for (panel, weight) in panels.enumerate() {
                     for pixel in (first..end).step_by(ROWS) {
-                        let sums = self.group::<V, ROWS, VECTORS>(simd, weight, picture, pixel);
+                        let sums = self.group::<V, ROWS, VECTORS>(simd, weight, image, pixel);
                         for (pixel, sums) in (pixel..end).zip(sums) {
-                            let at = (picture * pixels + pixel) * self.size.channels;
+                            let at = (image * pixels + pixel) * self.size.channels;
                             for (vector, sum) in sums.into_iter().enumerate() {
                                 let channel = panel * PANEL + vector * V::F32_LANES;
                                 let ending = &self.ending;
@@ -150,7 +150,7 @@ impl Taps<'_> {
         &self,
         simd: V,
         weight: &[f32],
-        picture: usize,
+        image: usize,
         first: usize,
     ) -> Sums<V, ROWS, VECTORS> {
         let Direct {
@@ -175,7 +175,7 @@ impl Taps<'_> {
             let tap = [tap / side, tap % side];
             let mut rows = [self.zeros; ROWS];
             for (row, place) in rows.iter_mut().zip(places) {
-                *row = self.pixel(picture, [place[0] + tap[0], place[1] + tap[1]]);
+                *row = self.pixel(image, [place[0] + tap[0], place[1] + tap[1]]);
             }
             sums = accumulate(simd, sums, weight, rows, &[]);
         }
@@ -184,7 +184,7 @@ impl Taps<'_> {
 
     /// The numbers of the pixel at a place of the input with its border.
     #[inline(always)]
-    fn pixel(&self, picture: usize, [y, x]: [usize; 2]) -> &[f32] {
+    fn pixel(&self, image: usize, [y, x]: [usize; 2]) -> &[f32] {
         let Size {
             height,
             width,
@@ -195,7 +195,7 @@ impl Taps<'_> {
         // Before the first is greater than any.
         let (y, x) = (y.wrapping_sub(padding), x.wrapping_sub(padding));
         if y < height && x < width {
-            let pixel = (picture * height + y) * width + x;
+            let pixel = (image * height + y) * width + x;
             &self.x.values[pixel * channels..][..channels]
         } else {
             self.zeros

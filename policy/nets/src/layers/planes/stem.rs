@@ -6,13 +6,13 @@
 use pulp::Simd;
 use tch::{TchError, Tensor};
 
-use super::{Ending, Plane, Size, Workspace, bias_of, load, shape_of, store};
+use super::{Epilogue, Plane, Size, Workspace, bias_of, load, shape_of, store};
 use crate::dimension::dimension;
 use crate::layers::aligned::Aligned;
 use crate::layers::kernel::{GROUP, InRegisters, PANEL, Summing, Sums, panels};
 use crate::layers::vectors::Vectors;
 
-/// Colours of a picture.
+/// Colours of an image.
 const COLOURS: usize = 3;
 
 /// Taps along a side.
@@ -78,13 +78,13 @@ impl Stem {
         images: &Tensor,
         workspace: &mut Workspace,
     ) -> Result<Plane, TchError> {
-        let [pictures, colours, height, width] = shape_of(images)?;
-        if colours != COLOURS || pictures * height * width == 0 {
+        let [batch, colours, height, width] = shape_of(images)?;
+        if colours != COLOURS || batch * height * width == 0 {
             return Err(TchError::Shape(format!("images {:?}", images.size())));
         }
         let lengths = Lengths::of(height, width);
         let size = Size {
-            pictures,
+            batch,
             height: lengths.high.div_ceil(2),
             width: lengths.wide.div_ceil(2),
             channels: self.bias.len(),
@@ -99,16 +99,16 @@ impl Stem {
         let numbers = COLOURS * height * width;
         other.grow(numbers.max(POOLED * lengths.columns * size.channels));
         let of_picture = size.height * size.width * size.channels;
-        for (picture, out) in out.values[..size.numbers()]
+        for (image, out) in out.values[..size.numbers()]
             .chunks_exact_mut(of_picture)
             .enumerate()
         {
             images
-                .f_select(0, dimension(picture))?
+                .f_select(0, dimension(image))?
                 .f_contiguous()?
                 .f_copy_data(other, numbers)?;
             pad(&other[..numbers], padded, [height, width], lengths);
-            processor.run(InRegisters(Picture {
+            processor.run(InRegisters(Image {
                 stem: self,
                 padded,
                 rows: other,
@@ -122,7 +122,7 @@ impl Stem {
 }
 
 /// Copies a picture `(colours, height, width)` into one with a border of zeros.
-fn pad(picture: &[f32], padded: &mut Aligned, [height, width]: [usize; 2], lengths: Lengths) {
+fn pad(image: &[f32], padded: &mut Aligned, [height, width]: [usize; 2], lengths: Lengths) {
     let Lengths {
         padded_high,
         padded_wide,
@@ -143,13 +143,13 @@ fn pad(picture: &[f32], padded: &mut Aligned, [height, width]: [usize; 2], lengt
         let (before, to) = to.split_at_mut(border);
         let (within, behind) = to.split_at_mut(width);
         before.fill(0.0);
-        within.copy_from_slice(&picture[(colour * height + y) * width..][..width]);
+        within.copy_from_slice(&image[(colour * height + y) * width..][..width]);
         behind.fill(0.0);
     }
 }
 
-/// One picture.
-struct Picture<'a> {
+/// One image.
+struct Image<'a> {
     stem: &'a Stem,
     padded: &'a [f32],
     /// The last rows of the convolution, each at its number's remainder.
@@ -160,7 +160,7 @@ struct Picture<'a> {
     out: &'a mut [f32],
 }
 
-impl Summing for Picture<'_> {
+impl Summing for Image<'_> {
     #[inline(always)]
     fn run<V: Vectors, const ROWS: usize, const VECTORS: usize>(mut self, simd: V) {
         let mut computed = 0;
@@ -175,7 +175,7 @@ impl Summing for Picture<'_> {
     }
 }
 
-impl Picture<'_> {
+impl Image<'_> {
     /// One row of the convolution, without the bias.
     #[inline(always)]
     fn convolve<S: Simd, const ROWS: usize, const VECTORS: usize>(&mut self, simd: S, y: usize) {
@@ -220,7 +220,7 @@ impl Picture<'_> {
             ..
         } = self.lengths;
         let channels = self.size.channels;
-        let ending = Ending {
+        let ending = Epilogue {
             bias: &self.stem.bias,
             beside: None,
             rectified: true,

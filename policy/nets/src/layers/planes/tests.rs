@@ -11,12 +11,12 @@ use crate::layers::vectors::Processor;
 const ROUNDING: f64 = 2e-6;
 
 fn plane_of(x: &Tensor) -> Plane {
-    let [pictures, channels, height, width] = shape_of(x).unwrap();
+    let [batch, channels, height, width] = shape_of(x).unwrap();
     let last = x.permute([0, 2, 3, 1]).contiguous().view([-1]);
     Plane {
         values: Aligned::of(&Vec::<f32>::try_from(&last).unwrap()),
         size: Size {
-            pictures,
+            batch,
             height,
             width,
             channels,
@@ -24,10 +24,10 @@ fn plane_of(x: &Tensor) -> Plane {
     }
 }
 
-/// As `(pictures, channels, height, width)`.
+/// As `(batch, channels, height, width)`.
 fn tensor_of(plane: &Plane) -> Tensor {
     let size = plane.size;
-    let shape = [size.pictures, size.height, size.width, size.channels];
+    let shape = [size.batch, size.height, size.width, size.channels];
     let rows = plane.rows().unwrap();
     rows.view(shape.map(|n| i64::try_from(n).unwrap()))
         .permute([0, 3, 1, 2])
@@ -63,7 +63,7 @@ struct Case {
 }
 
 impl Case {
-    /// `x` is `(pictures, channels, height, width)`.
+    /// `x` is `(batch, channels, height, width)`.
     fn new(way: Way, x: [i64; 4], outputs: i64) -> Self {
         let side = match way {
             Way::Stem => 7,

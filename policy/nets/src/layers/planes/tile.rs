@@ -13,7 +13,7 @@ pub(super) const VALUES: usize = INPUTS * INPUTS;
 
 impl Size {
     pub(super) const fn tiles(self) -> usize {
-        self.pictures * self.height.div_ceil(OUTPUTS) * self.width.div_ceil(OUTPUTS)
+        self.batch * self.height.div_ceil(OUTPUTS) * self.width.div_ceil(OUTPUTS)
     }
 
     /// Where the tile `index` is.
@@ -21,7 +21,7 @@ impl Size {
         let high = self.height.div_ceil(OUTPUTS);
         let wide = self.width.div_ceil(OUTPUTS);
         Place {
-            picture: index / (high * wide) * self.height * self.width,
+            image: index / (high * wide) * self.height * self.width,
             top: index / wide % high * OUTPUTS,
             left: index % wide * OUTPUTS,
             height: self.height,
@@ -33,7 +33,7 @@ impl Size {
 /// Where a tile is.
 pub(super) struct Place {
     /// Pixels before its picture.
-    pub(super) picture: usize,
+    pub(super) image: usize,
     /// Its first row of outputs.
     pub(super) top: usize,
     /// Its first column of outputs.

@@ -7,7 +7,7 @@ use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 use pulp::Simd;
 
 use super::tile::{INPUTS, OUTPUTS, Place, VALUES};
-use super::{Ending, load, store};
+use super::{Epilogue, load, store};
 
 /// Squares of the points of the interpolation.
 const SQUARES: [f64; 2] = [0.5, 2.0];
@@ -131,7 +131,7 @@ pub(super) fn to_tile<S: Simd>(
             for (column, seen) in seen.iter_mut().enumerate() {
                 let x_at = (place.left + column).wrapping_sub(1);
                 if x_at < place.width {
-                    let pixel = place.picture + y * place.width + x_at;
+                    let pixel = place.image + y * place.width + x_at;
                     *seen = load::<S>(x, pixel * channels + channel);
                 }
             }
@@ -156,7 +156,7 @@ pub(super) fn from_tile<S: Simd>(
     constants: &Constants<S>,
     (from, between): (&[f32], usize),
     place: &Place,
-    ending: &Ending<'_>,
+    ending: &Epilogue<'_>,
     out: &mut [f32],
 ) {
     let simd = constants.simd;
@@ -180,7 +180,7 @@ pub(super) fn from_tile<S: Simd>(
             }
             let outputs = constants.outputs(along);
             for (column, output) in outputs.into_iter().enumerate().take(wide) {
-                let pixel = place.picture + (place.top + row) * place.width + place.left + column;
+                let pixel = place.image + (place.top + row) * place.width + place.left + column;
                 ending.write(simd, output, out, pixel * channels + channel, channel);
             }
         }

@@ -10,7 +10,7 @@ use tch::{TchError, Tensor};
 
 use super::tile::{OUTPUTS, VALUES};
 use super::transforms::{Constants, from_tile, kernel_to_tile, to_tile};
-use super::{Ending, Plane, Size, Workspace, bias_of, shape_of};
+use super::{Epilogue, Plane, Size, Workspace, bias_of, shape_of};
 use crate::layers::aligned::Aligned;
 use crate::layers::kernel::{GROUP, InRegisters, PANEL, Summing, accumulate, share};
 use crate::layers::vectors::Vectors;
@@ -57,7 +57,7 @@ impl Winograd {
         })
     }
 
-    /// Whether pictures of this size need at most half the multiplications of a plain convolution: of few or narrow tiles
+    /// Whether images of this size need at most half the multiplications of a plain convolution: of few or narrow tiles
     /// much is thrown away.
     pub(crate) const fn pays(height: usize, width: usize) -> bool {
         let tiles = height.div_ceil(OUTPUTS) * width.div_ceil(OUTPUTS);
@@ -76,7 +76,7 @@ impl Winograd {
             ..x.size
         };
         x.check_channels(self.inputs)?;
-        let ending = Ending::new(&self.bias, beside, true, size)?;
+        let ending = Epilogue::new(&self.bias, beside, true, size)?;
         let mut out = workspace.plane(size);
         // More channels need more tiles for each time that the weights are read.
         let block = whole_groups(size.tiles()).min(if self.inputs > 64 { 64 } else { 32 });
@@ -104,7 +104,7 @@ impl Winograd {
 struct Tiles<'a> {
     convolution: &'a Winograd,
     x: &'a Plane,
-    ending: Ending<'a>,
+    ending: Epilogue<'a>,
     out: &'a mut [f32],
     /// Tiles that go through together.
     block: usize,

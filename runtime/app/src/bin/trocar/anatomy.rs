@@ -134,16 +134,16 @@ pub(crate) struct PreviewArgs {
     /// The patient's folder, or a .glb, .usda or .usdz of another program.
     #[arg(value_name = "DIR|FILE")]
     patient: PathBuf,
-    /// The file, .gif for one that turns or .png for pictures side by side; parent folders are made.
+    /// The file, .gif for an animation or .png for images side by side; parent folders are made.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// The tissue groups, with commas between them.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     groups: Vec<String>,
-    /// Side of a picture, pixels, 16 to 2048.
+    /// Side of an image, pixels, 16 to 2048.
     #[arg(long, value_name = "PX", default_value_t = 320, value_parser = clap::value_parser!(u32).range(16..=2048))]
     width: u32,
-    /// Pictures of a turn, 1 to 120.
+    /// Frames of a turn, 1 to 120.
     #[arg(long, value_name = "N", default_value_t = 36, value_parser = clap::value_parser!(u32).range(1..=120))]
     frames: u32,
 }
@@ -195,7 +195,7 @@ fn draw(args: &PreviewArgs) -> Done {
         width: args.width,
         frames: args.frames,
     };
-    let bar = console::progress(u64::from(args.frames), "pictures");
+    let bar = console::progress(u64::from(args.frames), "frames");
     preview::draw(&preview, &mut |done| bar.set_position(u64::from(done)))?;
     bar.finish_and_clear();
     console::result(&format!("wrote {}", args.out.display()));

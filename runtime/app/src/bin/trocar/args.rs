@@ -163,7 +163,7 @@ pub(crate) enum Verb {
     /// Show what this machine offers: scheduling, memory locking, CAN, GPU, shared memory.
     #[command(after_help = "Example: trocar doctor")]
     Doctor(DoctorArgs),
-    /// Run the committed policy of a task and write its log and pictures.
+    /// Run the committed policy of a task and write its log and images.
     #[command(
         after_help = "Example: trocar demo --task needle-lift --out runs/demo\n\nThe policy is the committed one of the task: in config/policies/TASK/ of the repository, or as it was installed."
     )]
@@ -492,7 +492,7 @@ pub(crate) struct DemoArgs {
     /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
     #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
     pub(crate) task: String,
-    /// Where the log and the pictures go.
+    /// Where the log and the images go.
     #[arg(long, default_value = "runs/demo")]
     pub(crate) out: PathBuf,
     /// The policy; by default the committed one of the task.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use trocar::console::{Address, Console, DEFAULT_ADDRESS, Doors, FOXGLOVE_ADDRESS};
+use trocar::console::{Address, Console, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS, ListenAddresses};
 use trocar::session::{SessionError, Setup};
 
 use crate::console;
@@ -25,7 +25,7 @@ pub(crate) struct PageArgs {
     pub(crate) console_key: Option<PathBuf>,
 }
 
-/// Where Foxglove is told.
+/// Foxglove's server.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct FoxgloveArgs {
     /// Serve Foxglove's WebSocket protocol at this address, 127.0.0.1:8765 if none is given: cameras, joints, frames, and, as far as there
@@ -77,7 +77,7 @@ impl DeskArgs {
         }
         let console = match opened {
             Some(console) => console,
-            None => Console::open_doors(&Doors::default())?,
+            None => Console::listen_on(&ListenAddresses::default())?,
         };
         console.take_hands(&self.hands, console::warning)?;
         Ok(Some(console))
@@ -101,7 +101,7 @@ impl PageArgs {
                 )),
             };
         }
-        let opened = Console::open_doors(&Doors {
+        let opened = Console::listen_on(&ListenAddresses {
             page: self.console,
             viewers,
             certificate,

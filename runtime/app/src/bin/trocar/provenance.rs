@@ -24,7 +24,7 @@ pub(crate) fn provenance(notes: &Notes) -> Provenance {
         varied: dimensions(&varied),
         variation: variation(seed, &varied),
         robot: "dVRK Classic patient-side manipulator, simulated: dynamics, drives, contact, rendering".to_owned(),
-        synchronization: "One simulation clock: a row's joints, poses and pictures are of the same instant, and rows are equally spaced."
+        synchronization: "One simulation clock: a row's joints, poses and images are of the same instant, and rows are equally spaced."
             .to_owned(),
     }
 }

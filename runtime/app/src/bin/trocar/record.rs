@@ -25,7 +25,7 @@ use crate::scene_args::{ConfigArgs, Inputs, ScenesArgs};
 pub(crate) enum Demonstrator {
     /// The task's scripted expert.
     Expert,
-    /// A simulated operator in lockstep: sees late, and moves trembling hands through teleoperation, as a person's do.
+    /// A simulated operator in lockstep: with visual delay and hand tremor, through teleoperation, as a person's do.
     SimulatedOperator,
     /// A person's hands, in real time over --console.
     Teleop,

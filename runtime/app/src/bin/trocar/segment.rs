@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 use trocar::session::run::write_json;
 use trocar::session::segment::{self, Segmentation, SegmentedGroup};
-use trocar::session::segment_training::{self, SegmentTraining, TrainingNews};
+use trocar::session::segment_training::{self, SegmentTraining, SegmenterProgress};
 use trocar::session::{SessionError, outputs};
 use trocar_nets::segmenter::Weighting;
 use trocar_train::SegmenterTraining;
@@ -235,8 +235,8 @@ pub(crate) fn train(args: &TrainSegmenterArgs) -> Done {
     let bar = console::progress(args.patients, "patients");
     let trained = segment_training::train(&options, &mut |news| {
         match news {
-            TrainingNews::Patient(made) => bar.set_position(made),
-            TrainingNews::Step(step, loss) => {
+            SegmenterProgress::Patient(made) => bar.set_position(made),
+            SegmenterProgress::Step(step, loss) => {
                 bar.set_length(args.steps);
                 bar.set_position(step);
                 bar.set_message(format!("steps, loss {loss:.3}"));
@@ -244,7 +244,7 @@ pub(crate) fn train(args: &TrainSegmenterArgs) -> Done {
                     console::note(&format!("step {step}: loss {loss:.4}"));
                 }
             }
-            TrainingNews::Judged(patients) => {
+            SegmenterProgress::Judged(patients) => {
                 bar.set_length(args.validate);
                 bar.set_message("judged");
                 bar.set_position(patients);

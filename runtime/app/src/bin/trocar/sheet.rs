@@ -37,13 +37,13 @@ pub(crate) struct SheetArgs {
     /// Random seed: the same seed gives the same run.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
-    /// Width of one picture, pixels.
+    /// Width of one image, pixels.
     #[arg(long, value_name = "PX", default_value_t = 192, value_parser = clap::value_parser!(u32).range(16..=1024))]
     pub(crate) width: u32,
     /// The moment, as a share of the time that the expert takes, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.65, value_parser = share)]
     pub(crate) at: f64,
-    /// Shading of the pictures; the scene's if not given. Policies see the scene's.
+    /// Shading of the images; the scene's if not given. Policies see the scene's.
     #[arg(long, value_enum)]
     pub(crate) shading: Option<ShadingChoice>,
 }

@@ -143,7 +143,7 @@ pub(crate) struct ReportArgs {
     /// The study's folder; those of its shards, if they have one each.
     #[arg(value_name = "DIR", required = true)]
     pub(crate) folders: Vec<PathBuf>,
-    /// The report: one HTML file, or Markdown with its pictures in a folder beside it. Parent folders are made.
+    /// The report: one HTML file, or Markdown with its images in a folder beside it. Parent folders are made.
     #[arg(long, value_name = "FILE.html|FILE.md")]
     pub(crate) out: PathBuf,
     /// Write the figures of its tables as JSON, to standard output if it is `-`; parent folders are made.

@@ -7,10 +7,10 @@ use trocar::rt::MonotonicClock;
 use trocar::session::SessionError;
 use trocar::session::run::write_json;
 use trocar::session::training::{
-    self, CameraChoice, NetworkChoice, TrainingNews, TrainingOptions, TrainingResult,
+    self, CameraChoice, NetworkChoice, TrainingOptions, TrainingProgress, TrainingResult,
 };
 use trocar::session::training_eval::{BEST, TrainingEval};
-use trocar::session::training_pace::Standing;
+use trocar::session::training_pace::TrainingStatus;
 use trocar_nets::act::BackboneNorm;
 
 use crate::commands::{Done, device};
@@ -24,12 +24,12 @@ pub(crate) fn train(args: &TrainArgs) -> Done {
         .and_tasks(&args.eval_task)
         .check(&[("--json", args.json.as_deref())])?;
     let mut progress = Progress::new();
-    let mut on_news = |news: &TrainingNews<'_>| progress.news(news);
+    let mut on_progress = |news: &TrainingProgress<'_>| progress.news(news);
     let (result, out) = match (&args.resume, &args.policy, &args.out) {
-        (Some(folder), ..) => (training::resume(folder, &mut on_news), folder),
+        (Some(folder), ..) => (training::resume(folder, &mut on_progress), folder),
         (None, Some(policy), Some(out)) => {
             let options = training_options(args, *policy, out)?;
-            (training::train(&options, &mut on_news), out)
+            (training::train(&options, &mut on_progress), out)
         }
         // The parser asks for these before.
         _ => return Err(missing_options()),
@@ -150,17 +150,17 @@ impl Progress {
         self.at(frames as u64, of as u64);
     }
 
-    fn news(&mut self, news: &TrainingNews<'_>) {
+    fn news(&mut self, news: &TrainingProgress<'_>) {
         match *news {
-            TrainingNews::Note(line) => self.bar.suspend(|| console::note(line)),
-            TrainingNews::Warning(line) => self.bar.suspend(|| console::warning(line)),
-            TrainingNews::Reading {
+            TrainingProgress::Note(line) => self.bar.suspend(|| console::note(line)),
+            TrainingProgress::Warning(line) => self.bar.suspend(|| console::warning(line)),
+            TrainingProgress::Reading {
                 frames,
                 of,
                 seconds,
             } => self.reading(frames, of, seconds),
-            TrainingNews::Standing(standing) => self.standing(standing),
-            TrainingNews::Evaluating {
+            TrainingProgress::Status(standing) => self.standing(standing),
+            TrainingProgress::Evaluating {
                 step,
                 trials,
                 of,
@@ -174,7 +174,7 @@ impl Progress {
         }
     }
 
-    fn standing(&mut self, standing: &Standing) {
+    fn standing(&mut self, standing: &TrainingStatus) {
         if self.bar.is_hidden() {
             let now = self.clock.now().seconds();
             let due = self.line_s.is_none_or(|last| now - last >= LINE_EVERY_S);

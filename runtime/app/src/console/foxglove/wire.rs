@@ -13,8 +13,8 @@ use super::super::encode::HEAD;
 /// Time for one message to leave.
 const SEND: Duration = Duration::from_secs(5);
 
-/// A viewer ends here.
-pub(super) struct Gone;
+/// The viewer has disconnected.
+pub(super) struct Disconnected;
 
 /// What a viewer may say; whatever else it says is passed over.
 #[derive(Debug, Deserialize)]
@@ -39,7 +39,7 @@ pub(super) struct Subscription {
 }
 
 /// Says what time it is.
-pub(super) async fn tell_time(socket: &mut WebSocket, at: TimeNs) -> Result<(), Gone> {
+pub(super) async fn tell_time(socket: &mut WebSocket, at: TimeNs) -> Result<(), Disconnected> {
     let mut bytes = vec![2];
     bytes.extend(at.0.to_le_bytes());
     send(socket, Message::Binary(bytes.into())).await
@@ -56,13 +56,16 @@ pub(super) fn stamp(message: &Bytes) -> TimeNs {
     TimeNs((seconds.map_or(0.0, f64::from_le_bytes) * 1e9).round() as u64)
 }
 
-pub(super) async fn text(socket: &mut WebSocket, message: &serde_json::Value) -> Result<(), Gone> {
+pub(super) async fn text(
+    socket: &mut WebSocket,
+    message: &serde_json::Value,
+) -> Result<(), Disconnected> {
     send(socket, Message::Text(message.to_string().into())).await
 }
 
-pub(super) async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Gone> {
+pub(super) async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Disconnected> {
     match timeout(SEND, socket.send(message)).await {
         Ok(Ok(())) => Ok(()),
-        Ok(Err(_)) | Err(_) => Err(Gone),
+        Ok(Err(_)) | Err(_) => Err(Disconnected),
     }
 }

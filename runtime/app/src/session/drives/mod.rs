@@ -47,7 +47,7 @@ use page::DrivesPage;
 use seen::Seen;
 use show::Show;
 
-/// Time between two looks of the first thread, ns; the world is shown every 40 ms.
+/// Polling period of the first thread, ns; the world is shown every 40 ms.
 const POLL_NS: u64 = 5_000_000;
 
 /// Notices that may wait to be reported.
@@ -211,7 +211,7 @@ fn attend(
     Ok(())
 }
 
-/// News of the drives for pages, if there is a console.
+/// Status of the drives for pages, if there is a console.
 fn show_page(
     moved: Moved<'_>,
     can: &CanConfig,

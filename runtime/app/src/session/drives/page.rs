@@ -1,4 +1,4 @@
-//! News of the drives for the pages of the console.
+//! Status of the drives for the pages of the console.
 
 use std::collections::VecDeque;
 
@@ -42,26 +42,26 @@ struct Line {
 }
 
 #[derive(Serialize)]
-struct News<'a> {
+struct DrivesStatus<'a> {
     kind: &'static str,
     seconds: f64,
     /// Since all drives were enabled for the first time, if they were.
     episode_s: Option<f64>,
     stalled_s: f64,
     frames_lost: u64,
-    arms: Vec<ArmNews>,
-    buses: Vec<BusNews<'a>>,
+    arms: Vec<ArmStatus>,
+    buses: Vec<BusStatus<'a>>,
     happened: &'a VecDeque<Line>,
 }
 
 #[derive(Serialize)]
-struct ArmNews {
+struct ArmStatus {
     name: &'static str,
-    axes: Vec<AxisNews>,
+    axes: Vec<AxisStatus>,
 }
 
 #[derive(Serialize)]
-struct AxisNews {
+struct AxisStatus {
     name: &'static str,
     /// None without power.
     node: Option<u8>,
@@ -76,7 +76,7 @@ struct AxisNews {
 }
 
 #[derive(Serialize)]
-struct BusNews<'a> {
+struct BusStatus<'a> {
     interface: &'a str,
     frames: u64,
     /// Share of the last second for which it was busy at its bit rate.
@@ -130,20 +130,20 @@ impl DrivesPage {
         self.take_loads(&seen);
         self.buses.look();
         self.now = seen.now;
-        let news = self.news(&seen);
-        let axes = |axis: &AxisNews| (axis.name, axis.position, axis.wanted);
-        let arms = news.arms.iter().map(|arm| arm.axes.iter().map(axes));
+        let status = self.status(&seen);
+        let axes = |axis: &AxisStatus| (axis.name, axis.position, axis.wanted);
+        let arms = status.arms.iter().map(|arm| arm.axes.iter().map(axes));
         self.console.tell_axes(seen.now, arms);
-        self.console.tell(&news);
+        self.console.tell(&status);
     }
 
-    fn arms_news(&self, seen: &Seen) -> Vec<ArmNews> {
+    fn arms_status(&self, seen: &Seen) -> Vec<ArmStatus> {
         let arms = ARM_NAMES.into_iter().zip(&self.spaces).zip(&seen.axes);
         let arms = arms.filter_map(|((name, space), axes)| {
             let space = (*space)?;
             let axes = axes.iter().enumerate();
-            let axes = axes.map(|(axis, seen)| axis_news(axis, space, seen.as_ref()));
-            Some(ArmNews {
+            let axes = axes.map(|(axis, seen)| axis_status(axis, space, seen.as_ref()));
+            Some(ArmStatus {
                 name,
                 axes: axes.collect(),
             })
@@ -151,9 +151,9 @@ impl DrivesPage {
         arms.collect()
     }
 
-    fn news(&self, seen: &Seen) -> News<'_> {
+    fn status(&self, seen: &Seen) -> DrivesStatus<'_> {
         let buses = self.buses.all.iter().zip(&seen.busy).zip(&self.loads);
-        let buses = buses.map(|((bus, (_, frames)), load)| BusNews {
+        let buses = buses.map(|((bus, (_, frames)), load)| BusStatus {
             interface: &bus.name,
             frames: *frames,
             load: *load,
@@ -161,13 +161,13 @@ impl DrivesPage {
             errors: bus.errors,
         });
         let begun = seen.begun.map(|begun| seen.now.since(begun));
-        News {
+        DrivesStatus {
             kind: "drives",
             seconds: seen.now.seconds(),
             episode_s: begun.map(|since_ns| TimeNs(since_ns).seconds()),
             stalled_s: TimeNs(seen.stalled_ns).seconds(),
             frames_lost: seen.lost,
-            arms: self.arms_news(seen),
+            arms: self.arms_status(seen),
             buses: buses.collect(),
             happened: &self.lines,
         }
@@ -186,14 +186,14 @@ impl DrivesPage {
     }
 }
 
-fn axis_news(axis: usize, space: Space, seen: Option<&AxisSeen>) -> AxisNews {
+fn axis_status(axis: usize, space: Space, seen: Option<&AxisSeen>) -> AxisStatus {
     let name = JOINT_NAMES.get(axis).copied().unwrap_or("jaw");
     let name = match space {
         Space::Joint => name,
         Space::Actuator => ACTUATORS.get(axis).copied().unwrap_or(name),
     };
     let unit = if axis == INSERTION { "m" } else { "rad" };
-    AxisNews {
+    AxisStatus {
         name,
         node: seen.map(|seen| seen.node),
         nmt: seen.map_or("no power", |seen| nmt_name(seen.nmt)),
@@ -266,6 +266,6 @@ impl DrivesPage {
     pub(super) fn told(&mut self, seen: &Seen, lines: &[&str]) -> serde_json::Value {
         self.take_loads(seen);
         lines.iter().for_each(|line| self.note(line));
-        serde_json::to_value(self.news(seen)).unwrap_or_default()
+        serde_json::to_value(self.status(seen)).unwrap_or_default()
     }
 }

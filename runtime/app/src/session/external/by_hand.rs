@@ -15,13 +15,13 @@ use trocar_topics::{
 use super::link::{FIRST_ARM, LOOK_NS};
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
-use crate::session::realtime::observed::{Observed, Turn, Turns};
+use crate::session::realtime::observed::{ObservationBuffer, QuerySchedule, StepKind};
 use crate::session::source::camera_names;
 
 /// Time between two signs of life, ns.
 const STATUS_EVERY_NS: u64 = 50_000_000;
 
-/// Time between two looks at whether the session's process is there, ns.
+/// Polling period for whether the session's process is there, ns.
 const ALIVE_EVERY_NS: u64 = 200_000_000;
 
 /// What a policy by hand is started with.
@@ -84,9 +84,9 @@ struct Server {
     replies: Publisher<PolicyReply>,
     /// One an arm.
     chunks: Vec<Publisher<Chunk>>,
-    observed: Observed,
+    observed: ObservationBuffer,
     network: LoadedPolicy,
-    turns: Turns,
+    turns: QuerySchedule,
     session: Option<SessionHello>,
     /// An episode that it was told of, before it knows the session.
     waiting: Option<RunControl>,
@@ -102,7 +102,7 @@ struct Server {
 impl Server {
     fn open(options: &ByHand) -> Result<Self, SessionError> {
         let network = LoadedPolicy::load(&options.policy, options.compute)?;
-        let turns = Turns::of(&network);
+        let turns = QuerySchedule::of(&network);
         let hello = hello(options, &network, turns.steps())?;
         let node = TopicNode::join(&options.name)?;
         let arms = ARM_NAMES.into_iter().take(network.recipe().arms);
@@ -115,7 +115,7 @@ impl Server {
             chunks: arms
                 .map(|arm| ChunkTopic::publisher(&node, arm))
                 .collect::<Result<_, _>>()?,
-            observed: Observed::open(&node, &network)?,
+            observed: ObservationBuffer::open(&node, &network)?,
             events: node.events()?,
             node,
             network,
@@ -216,13 +216,13 @@ impl Server {
             return Ok(());
         };
         let turn = self.turns.of_step(whole.sequence);
-        if turn == Turn::Nothing {
+        if turn == StepKind::Skip {
             return Ok(());
         }
         let asked = self.clock.now();
         self.counts.sequence = whole.sequence;
         let observation = whole.observation();
-        if turn == Turn::Shown {
+        if turn == StepKind::Observe {
             let seen = self.network.observe(&observation);
             return self.reply(seen.map(|()| (Reply::Observed, 0)));
         }

@@ -4,7 +4,7 @@ use std::process;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
-use hal::{ArmState, JointVector, Pose, SeenArm, TipTarget};
+use hal::{ArmObservation, ArmState, JointVector, Pose, TipTarget};
 use trocar_topics::{
     Line, PolicyHello, PolicyHelloTopic, PolicyReplyTopic, PolicyStatus, PolicyStatusTopic,
     RunControlTopic, TopicNode,
@@ -36,8 +36,8 @@ fn hello() -> PolicyHello {
     }
 }
 
-fn arm_at(tick: u64) -> SeenArm {
-    SeenArm {
+fn arm_at(tick: u64) -> ArmObservation {
+    ArmObservation {
         state: ArmState::at_rest(TimeNs::from_tick(tick), JointVector::zeros(), 0.1),
         tip_in_rcm: Pose::identity(),
     }

@@ -5,7 +5,7 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::{Command, Look, place};
+use super::{Command, Query, place};
 use crate::session::SessionError;
 
 /// A run that does not answer for this long hangs.
@@ -38,12 +38,12 @@ pub fn ask(command: Command, ask: &Ask) -> Result<(String, bool), SessionError> 
 
 /// A read-only client of a run, over a connection that is kept open.
 #[derive(Debug)]
-pub struct Onlooker {
+pub struct QueryClient {
     stream: BufReader<UnixStream>,
     socket: PathBuf,
 }
 
-impl Onlooker {
+impl QueryClient {
     /// Connects to the run of this process, or to the only one of this user.
     ///
     /// # Errors
@@ -63,7 +63,7 @@ impl Onlooker {
     ///
     /// # Errors
     /// If the run has ended, or hangs.
-    pub fn look(&mut self, look: Look) -> io::Result<String> {
+    pub fn query(&mut self, look: Query) -> io::Result<String> {
         let line = format!("{}\n", look.word());
         self.stream.get_mut().write_all(line.as_bytes())?;
         answer(&mut self.stream)

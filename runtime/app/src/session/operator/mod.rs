@@ -1,7 +1,7 @@
 //! The operator: CRTK's commands to a run in real time, over a local socket, one line each, and what its arms are doing.
 //!
 //! `server` listens in the run, `client` is the verbs `trocar status`, `pause` and so on. Both speak this: a line with a command
-//! ([`Command`]), `json` behind it for an answer as JSON; the answer is one line too. Who looks on ([`Look`]) is told what the console's pages are. The socket is of mode 0600 in a folder of mode 0700:
+//! ([`Command`]), `json` behind it for an answer as JSON; the answer is one line too. Who looks on ([`Query`]) is told what the console's pages are. The socket is of mode 0600 in a folder of mode 0700:
 //! whoever may use it is the run's own user.
 
 mod client;
@@ -20,7 +20,7 @@ use crate::console::ControlTap;
 use crate::mailbox::{MailboxWriter, mailbox};
 
 pub(crate) use client::exchange;
-pub use client::{Ask, Onlooker, ask};
+pub use client::{Ask, QueryClient, ask};
 pub use place::check;
 pub(super) use server::{Listener, Served};
 
@@ -42,18 +42,18 @@ pub enum Command {
 #[error(
     "{0:?} is no command: status, enable, disable, pause, resume, home, clear, stop, or speed PERCENT with 1 to 100, each with json behind it or not"
 )]
-pub struct NoCommand(String);
+pub struct UnknownCommand(String);
 
 /// A request of a read-only client; the answer is one line of JSON.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Look {
+pub enum Query {
     /// What does not change while the run goes on.
     Facts,
     /// The newest state; `null` before the first tick.
     State,
 }
 
-impl Look {
+impl Query {
     const fn word(self) -> &'static str {
         match self {
             Self::Facts => "facts",
@@ -62,20 +62,20 @@ impl Look {
     }
 }
 
-impl FromStr for Look {
-    type Err = NoCommand;
+impl FromStr for Query {
+    type Err = UnknownCommand;
 
-    fn from_str(line: &str) -> Result<Self, NoCommand> {
+    fn from_str(line: &str) -> Result<Self, UnknownCommand> {
         let known = [Self::Facts, Self::State];
         let found = known.into_iter().find(|look| look.word() == line);
-        found.ok_or_else(|| NoCommand(line.to_owned()))
+        found.ok_or_else(|| UnknownCommand(line.to_owned()))
     }
 }
 
 impl FromStr for Command {
-    type Err = NoCommand;
+    type Err = UnknownCommand;
 
-    fn from_str(line: &str) -> Result<Self, NoCommand> {
+    fn from_str(line: &str) -> Result<Self, UnknownCommand> {
         let mut words = line.split_ascii_whitespace();
         let command = match (words.next(), words.next(), words.next()) {
             (Some("status"), None, None) => Self::Status,
@@ -88,9 +88,9 @@ impl FromStr for Command {
             (Some("clear"), None, None) => Self::Event(OperatorEvent::Clear),
             (Some("speed"), Some(percent), None) => match percent.parse() {
                 Ok(percent @ 1..=100) => Self::Event(OperatorEvent::Speed { percent }),
-                _ => return Err(NoCommand(line.to_owned())),
+                _ => return Err(UnknownCommand(line.to_owned())),
             },
-            _ => return Err(NoCommand(line.to_owned())),
+            _ => return Err(UnknownCommand(line.to_owned())),
         };
         Ok(command)
     }
@@ -198,17 +198,17 @@ impl OperatorPort {
 
 /// The answer to a line.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-struct Answer {
+struct Response {
     ok: bool,
     /// Why not.
     error: Option<String>,
     /// Seconds since the run began, of control.
     seconds: Option<f64>,
-    arms: Vec<ArmAnswer>,
+    arms: Vec<ArmResponse>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
-struct ArmAnswer {
+struct ArmResponse {
     name: &'static str,
     /// CRTK's operating state.
     state: &'static str,
@@ -217,7 +217,7 @@ struct ArmAnswer {
     fault: Option<String>,
 }
 
-impl Answer {
+impl Response {
     fn of(status: Option<&Status>, error: Option<String>) -> Self {
         let arms = status.iter().flat_map(|status| status.arms.iter());
         #[expect(clippy::cast_precision_loss, reason = "ticks of some days")]
@@ -229,7 +229,7 @@ impl Answer {
             arms: ARM_NAMES
                 .iter()
                 .zip(arms)
-                .map(|(&name, (mode, fault))| ArmAnswer {
+                .map(|(&name, (mode, fault))| ArmResponse {
                     name,
                     state: mode.state.name(),
                     homed: mode.homed,
@@ -241,7 +241,7 @@ impl Answer {
     }
 }
 
-impl fmt::Display for Answer {
+impl fmt::Display for Response {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.error {
             None => f.write_str("ok")?,

@@ -13,7 +13,7 @@ use std::time::Duration;
 use rtrb::{Producer, RingBuffer};
 use trocar_control::OperatorEvent;
 
-use super::{Answer, Command, Look, OperatorPort, Status, place};
+use super::{Command, OperatorPort, Query, Response, Status, place};
 use crate::console::RunView;
 use crate::mailbox::{MailboxReader, mailbox};
 use crate::rt;
@@ -24,11 +24,11 @@ const LINE_MAX: u64 = 200;
 const OPERATORS_MAX: usize = 8;
 /// Commands that may wait for the control thread.
 const REQUESTS: usize = 16;
-/// Time between two looks, ns.
+/// Polling period, ns.
 const POLL_NS: u64 = 2_000_000;
 /// Time that the control thread has for a command, ns.
 const ANSWER_NS_MAX: u64 = 500_000_000;
-/// Time between two looks at whether the run is over, for an operator that says nothing.
+/// Polling period for whether the run is over, for an operator that says nothing.
 const SILENCE: Duration = Duration::from_millis(100);
 
 /// What threads of the run have to do with the operator.
@@ -188,8 +188,8 @@ impl Listener {
     fn answer(&self, line: &str, served: &dyn Served) -> String {
         if let (Some(view), Ok(look)) = (self.view.get(), line.parse()) {
             return match look {
-                Look::Facts => view.facts(),
-                Look::State => view.state().unwrap_or_else(|| "null".to_owned()),
+                Query::Facts => view.facts(),
+                Query::State => view.state().unwrap_or_else(|| "null".to_owned()),
             };
         }
         let (command, as_json) = match line.strip_suffix("json") {
@@ -198,7 +198,7 @@ impl Listener {
         };
         let answer = match command.parse() {
             Ok(command) => self.obey(command, served),
-            Err(error) => Answer::of(None, Some(super::NoCommand::to_string(&error))),
+            Err(error) => Response::of(None, Some(super::UnknownCommand::to_string(&error))),
         };
         if as_json {
             serde_json::to_string(&answer).unwrap_or_else(|error| format!("error: {error}"))
@@ -207,7 +207,7 @@ impl Listener {
         }
     }
 
-    fn obey(&self, command: Command, served: &dyn Served) -> Answer {
+    fn obey(&self, command: Command, served: &dyn Served) -> Response {
         let status = self.look();
         let begun = || status.ok_or("the control loop has not begun");
         let done = match command {
@@ -234,22 +234,22 @@ impl Listener {
             },
         };
         match done {
-            Ok(status) => Answer::of(status.as_ref(), None),
-            Err(error) => Answer::of(status.as_ref(), Some(error.to_owned())),
+            Ok(status) => Response::of(status.as_ref(), None),
+            Err(error) => Response::of(status.as_ref(), Some(error.to_owned())),
         }
     }
 
     /// Hands `event` to the control thread and waits for what comes of it.
-    fn request(&self, event: OperatorEvent, status: &Status) -> Answer {
+    fn request(&self, event: OperatorEvent, status: &Status) -> Response {
         if let Some(state) = status.refuses(event) {
             let reason = format!("{} does not apply in {state}", Command::Event(event));
-            return Answer::of(Some(status), Some(reason));
+            return Response::of(Some(status), Some(reason));
         }
         let number = {
             let mut desk = self.desk.lock().unwrap_or_else(PoisonError::into_inner);
             if desk.requests.push(event).is_err() {
                 let reason = "the control loop takes no commands".to_owned();
-                return Answer::of(Some(status), Some(reason));
+                return Response::of(Some(status), Some(reason));
             }
             desk.asked += 1;
             desk.asked
@@ -258,7 +258,7 @@ impl Listener {
             if let Some(status) = self.look()
                 && status.handled >= number
             {
-                return Answer::of(Some(&status), None);
+                return Response::of(Some(&status), None);
             }
             rt::sleep_ns(POLL_NS);
         }
@@ -266,7 +266,7 @@ impl Listener {
             "no answer from the control loop in {} ms",
             ANSWER_NS_MAX / 1_000_000
         );
-        Answer::of(self.look().as_ref(), Some(reason))
+        Response::of(self.look().as_ref(), Some(reason))
     }
 
     fn look(&self) -> Option<Status> {

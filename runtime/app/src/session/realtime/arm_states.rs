@@ -4,13 +4,13 @@
 use std::thread;
 use std::time::Duration;
 
-use hal::{PerArm, SeenArm};
+use hal::{ArmObservation, PerArm};
 use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_topics::{ArmReport, ArmStateTopic, Publisher, TopicNode};
 
 use super::policy_process::arm_names;
 use super::scene_topics::{SceneForCameras, SceneForPages, Snapshot, show_pages};
-use super::signals::{EndsRun, Signals};
+use super::signals::{EndRunOnDrop, Signals};
 use crate::mailbox::MailboxReader;
 use crate::rt::MonotonicClock;
 use crate::session::SessionError;
@@ -18,14 +18,14 @@ use crate::session::SessionError;
 /// Steps that may wait for the thread, of which a reader finds no more anyway.
 const QUEUE: usize = 16;
 
-/// Time between two looks at whether the run is over, and for readers that have come since.
+/// Polling period for whether the run is over, and for readers that have come since.
 const IDLE: Duration = Duration::from_millis(10);
 
 /// The arms at a policy step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StepStates {
     pub(super) step: u64,
-    pub(super) arms: PerArm<SeenArm>,
+    pub(super) arms: PerArm<ArmObservation>,
 }
 
 /// The thread before it runs. Whoever puts something into its queue or mailboxes wakes it.
@@ -63,7 +63,7 @@ impl StatesThread {
         clock: MonotonicClock,
         signals: &Signals,
     ) -> Result<(), SessionError> {
-        let _ends = EndsRun(signals);
+        let _ends = EndRunOnDrop(signals);
         while !signals.stopped() {
             while let Ok(StepStates { step, mut arms }) = self.states.pop() {
                 for (topic, arm) in self.topics.iter().zip(arms.iter_mut()) {

@@ -5,9 +5,9 @@ use trocar_topics::TopicNode;
 
 use super::cameras_child::CamerasChild;
 use super::child::Outside;
-use super::on_can::{Camera, FRAMES_WITHIN_MS, Say, Wanted, cameras};
+use super::child_process::fresh_run_id;
+use super::on_can::{Camera, FRAMES_WITHIN_MS, PrintLine, Wanted, cameras};
 use super::opened::Opened;
-use super::own_process::fresh_run_id;
 use super::scene_topics::SceneForCameras;
 use crate::rt::MonotonicClock;
 use crate::session::{Plan, SessionError};
@@ -93,7 +93,7 @@ impl Stage {
         &mut self,
         plan: &Plan,
         start: &SceneSnapshot,
-        say: Say<'_>,
+        say: PrintLine<'_>,
     ) -> Result<(), SessionError> {
         if let Cameras::Own(child) = &mut self.cameras {
             // Pages are shown what they look at when it is there.

@@ -6,8 +6,8 @@ use hal::TimeNs;
 use trocar_topics::{CamerasStatus, CamerasStatusTopic, Events, RunControlTopic, TopicNode};
 
 use super::cameras_process::CAMERAS;
-use super::on_can::Say;
-use super::own_process::{OwnProcess, Spawned};
+use super::child_process::{ChildProcess, Spawned};
+use super::on_can::PrintLine;
 use super::policy_process::FIRST_ARM;
 use super::supervisor::{Remote, await_ready};
 use crate::rt::{self, MonotonicClock};
@@ -22,7 +22,7 @@ const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
 /// The running cameras' process.
 pub(super) struct CamerasChild {
-    own: OwnProcess<CamerasStatus>,
+    own: ChildProcess<CamerasStatus>,
     events: Events,
     /// Of its own: when it was heard. It begins when the process is started.
     clock: MonotonicClock,
@@ -44,14 +44,14 @@ impl CamerasChild {
         let spawned = verb(plan, topics, wanted, pages);
         Ok(Self {
             clock: MonotonicClock::new(),
-            own: OwnProcess::start(spawned, node, (control, status))?,
+            own: ChildProcess::start(spawned, node, (control, status))?,
             events,
             heard: TimeNs(0),
         })
     }
 
     /// Waits until it has drawn for the first time.
-    pub(super) fn wait_until_ready(&mut self, say: Say<'_>) -> Result<(), SessionError> {
+    pub(super) fn wait_until_ready(&mut self, say: PrintLine<'_>) -> Result<(), SessionError> {
         let events = self.own.node.events()?;
         await_ready(self, (self.clock, LOAD_NS_MAX), &events, say)
     }

@@ -13,8 +13,8 @@ use trocar_topics::{
 };
 
 use super::arm_chunks::ArmChunks;
-use super::on_can::Say;
-use super::own_process::{OwnProcess, Spawned};
+use super::child_process::{ChildProcess, Spawned};
+use super::on_can::PrintLine;
 use super::policy_process::FIRST_ARM;
 use super::supervisor::{Remote, await_ready};
 use crate::rt::{self, MonotonicClock};
@@ -32,7 +32,7 @@ const SILENCE_NS_MAX: u64 = 5_000_000_000;
 /// A process that lives and answers no observation for this long, and a query's interval, answers none any more, ns.
 const ANSWER_NS_MAX: u64 = 10_000_000_000;
 
-/// Time between two looks at whether an external policy is there, ns.
+/// Polling period for whether an external policy is there, ns.
 const LOOK_EVERY_NS: u64 = 20_000_000;
 
 /// The topics on which frames are.
@@ -59,7 +59,7 @@ impl Outside<'_> {
 
 /// Whose process it is.
 enum Peer {
-    Own(Box<OwnProcess<PolicyStatus>>),
+    Own(Box<ChildProcess<PolicyStatus>>),
     /// Somebody else's, which is told to stop and left to itself.
     External(Box<ExternalLink>),
 }
@@ -183,7 +183,7 @@ impl PolicyChild {
         policy: &Path,
         (seed, compute): (u64, Compute),
         outside: Outside<'_>,
-        say: Say<'_>,
+        say: PrintLine<'_>,
     ) -> Result<Self, SessionError> {
         let query_every_steps = u64::from(network.recipe().query_every_steps).max(1);
         let history_steps = hal::Policy::history_steps(network);
@@ -192,7 +192,7 @@ impl PolicyChild {
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
         let chunks = ArmChunks::open(&node, network.recipe().arms)?;
         let spawned = policy_verb(policy, compute, outside);
-        let own = OwnProcess::start(spawned, node, (control, status))?;
+        let own = ChildProcess::start(spawned, node, (control, status))?;
         let shown = (query_every_steps, history_steps);
         let peer = Peer::Own(Box::new(own));
         let mut child = Self::new(peer, chunks, shown, seed)?;
@@ -205,7 +205,7 @@ impl PolicyChild {
         link: ExternalLink,
         arms: usize,
         seed: u64,
-        say: Say<'_>,
+        say: PrintLine<'_>,
     ) -> Result<Self, SessionError> {
         let within_ns = link.within_ns;
         let chunks = ArmChunks::open(&link.node, arms)?;
@@ -243,7 +243,7 @@ impl PolicyChild {
         })
     }
 
-    fn wait_until_ready(&mut self, within_ns: u64, say: Say<'_>) -> Result<(), SessionError> {
+    fn wait_until_ready(&mut self, within_ns: u64, say: PrintLine<'_>) -> Result<(), SessionError> {
         self.tell_to_begin()?;
         let events = self.peer.node().events()?;
         await_ready(self, (self.clock, within_ns), &events, say)

@@ -5,13 +5,13 @@ use hal::{Chunk, PerArm};
 use rtrb::Consumer;
 use trocar_control::OperatorEvent;
 
-use crate::session::teleop::{Driver, FromHands};
+use crate::session::teleop::{Driver, TeleopCommand};
 
 /// What chunks come from.
 pub(super) struct Drivers {
     policy: Consumer<PerArm<Chunk>>,
     /// The hands of an operator beside the policy, if there is one.
-    hands: Option<Consumer<FromHands>>,
+    hands: Option<Consumer<TeleopCommand>>,
     driver: Driver,
 }
 
@@ -19,7 +19,7 @@ impl Drivers {
     /// The policy drives; `hands` may take over.
     pub(super) const fn new(
         policy: Consumer<PerArm<Chunk>>,
-        hands: Option<Consumer<FromHands>>,
+        hands: Option<Consumer<TeleopCommand>>,
     ) -> Self {
         Self {
             policy,
@@ -42,7 +42,7 @@ impl Drivers {
     ) -> (Option<PerArm<Chunk>>, Option<OperatorEvent>) {
         let change = self.hands.as_ref().and_then(|hands| hands.peek().ok());
         let change = change.filter(|word| word.driver != self.driver);
-        let due = |word: &FromHands| word.driver == Driver::Policy || !waits(&word.chunks);
+        let due = |word: &TeleopCommand| word.driver == Driver::Policy || !waits(&word.chunks);
         if change.is_some_and(due) && free {
             return self.change();
         }
@@ -104,7 +104,7 @@ mod tests {
             }
             if let Some((driver, sequence)) = from_hands {
                 let chunks = chunks(sequence);
-                hands_in.push(FromHands { driver, chunks }).unwrap();
+                hands_in.push(TeleopCommand { driver, chunks }).unwrap();
             }
             let (chunks, event) = drivers.next(|_| false, free);
             (chunks.map(|chunks| chunks.first.sequence), event)

@@ -5,7 +5,7 @@ use trocar_log::LogFile;
 use super::control_thread::ControlEnd;
 use crate::session::Plan;
 use crate::session::ended::Ended;
-use crate::session::pictures::Pictures;
+use crate::session::pictures::Thumbnails;
 use crate::session::plan::Arms;
 use crate::session::run::RunResult;
 use crate::session::summary::RealTimeCounts;
@@ -32,7 +32,7 @@ pub(super) fn closed<R, S: Arms>(
     RunResult {
         ok: ended.ok,
         summary: control.tally.summary(plan, ended, Some(real_time)),
-        pictures: Pictures::default(),
+        pictures: Thumbnails::default(),
         log_failure,
         demonstration: None,
     }

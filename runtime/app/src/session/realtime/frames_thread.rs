@@ -7,23 +7,23 @@ use trocar_topics::{CameraTopic, FrameSubscriber, FrameView, TopicNode};
 use super::cameras_child::CamerasChild;
 use super::cameras_process::for_console;
 use super::on_can::Camera;
-use super::signals::{EndsRun, Lacking, Signals};
+use super::signals::{EndRunOnDrop, HoldCause, Signals};
 use super::supervisor::Supervisor;
 use crate::console::{FramePlanes, FrameTap};
 use crate::rt::{self, MonotonicClock};
 use crate::session::external::LOOK_NS;
-use crate::session::pictures::Pictures;
+use crate::session::pictures::Thumbnails;
 use crate::session::{Plan, SessionError};
 
 /// The thread before it runs.
 pub(super) struct FramesThread {
     child: Option<CamerasChild>,
     /// What the policy lacks without the process, if it looks through one of its cameras.
-    lacking: Option<Lacking>,
+    lacking: Option<HoldCause>,
     /// For the log and the pictures, whose camera is the first.
     cameras: Vec<Camera>,
     /// Kept only if they will be looked at.
-    pictures: Option<Pictures>,
+    pictures: Option<Thumbnails>,
     frame: CameraFrame,
     pages: Option<Pages>,
 }
@@ -37,7 +37,7 @@ struct Pages {
 /// What it leaves behind.
 #[derive(Default)]
 pub(super) struct FramesEnd {
-    pub(super) pictures: Option<Pictures>,
+    pub(super) pictures: Option<Thumbnails>,
     /// Why the run was ended from here, if it was: the cameras were gone for good.
     pub(super) ended_by: Option<String>,
 }
@@ -66,9 +66,9 @@ impl FramesThread {
         });
         Ok(Self {
             child: Some(child),
-            lacking: needed.then_some(Lacking::Frames),
+            lacking: needed.then_some(HoldCause::Frames),
             cameras: kept.collect::<Result<_, SessionError>>()?,
-            pictures: plan.pictures.then(Pictures::default),
+            pictures: plan.pictures.then(Thumbnails::default),
             frame: CameraFrame::blank(Intrinsics::default()),
             pages: pages.transpose()?,
         })
@@ -82,7 +82,7 @@ impl FramesThread {
         mut log: Option<SideLog>,
         signals: &Signals,
     ) -> Result<FramesEnd, SessionError> {
-        let _ends = EndsRun(signals);
+        let _ends = EndRunOnDrop(signals);
         let rules = (plan.setup.robot.control.supervision, plan.warn);
         let mut supervisor = Supervisor::new(self.lacking, clock, rules);
         let mut ended_by = None;

@@ -26,7 +26,9 @@ mod arm_states;
 mod cameras;
 mod cameras_child;
 mod cameras_process;
+mod channels;
 mod child;
+mod child_process;
 mod control_thread;
 mod drivers;
 mod ended;
@@ -36,7 +38,6 @@ pub(super) mod observed;
 mod observers;
 mod on_can;
 mod opened;
-mod own_process;
 mod policy_process;
 mod robot;
 mod scene_topics;
@@ -48,7 +49,6 @@ mod supervisor;
 mod threads;
 mod timing;
 mod watch;
-mod wires;
 
 use std::sync::Arc;
 
@@ -58,7 +58,7 @@ use trocar_tasks::simulation::{Rendering, Simulation};
 use trocar_tasks::task::Outcome;
 
 pub use cameras_process::{CamerasOptions, serve_cameras};
-pub use on_can::{CanOptions, Say, run_on_can, run_robot_on_can};
+pub use on_can::{CanOptions, PrintLine, run_on_can, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
 pub use robot::{RobotOptions, run_rig};
 
@@ -68,7 +68,7 @@ use super::operator::{Listener, OperatorPort};
 use super::run::RunResult;
 use super::source::ChunkSource;
 use super::summary::TissueSummary;
-use super::teleop::{Demonstrating, FromHands, Intervention, Wish};
+use super::teleop::{Demonstrating, EpisodeCommand, Intervention, TeleopCommand};
 use super::{Plan, SessionError, episode};
 use crate::mailbox::mailbox;
 use crate::rig::threads::ThreadsRig;
@@ -106,7 +106,7 @@ const START_NS: u64 = 20_000_000;
 ///
 /// # Errors
 /// From the configuration, the policy, the simulation, the topics or the log.
-pub fn run_realtime(plan: &Plan, say: Say<'_>) -> Result<RunResult, SessionError> {
+pub fn run_realtime(plan: &Plan, say: PrintLine<'_>) -> Result<RunResult, SessionError> {
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
     plan.real_time.check()?;
     let others = plan.cameras_on.as_deref().map(|topics| Outside {
@@ -191,7 +191,7 @@ fn demonstrating(plan: &Plan) -> Option<Demonstrating> {
 }
 
 /// An operator who may take over from the policy of `plan`: on the console, if there is one. And the control thread's end.
-fn intervention(plan: &Plan) -> Option<(Intervention, Consumer<FromHands>)> {
+fn intervention(plan: &Plan) -> Option<(Intervention, Consumer<TeleopCommand>)> {
     let by_hand = plan.policy == PolicyChoice::Teleop;
     let console = plan.console.as_ref();
     let console = console.filter(|console| console.has_page() && !by_hand)?;
@@ -245,7 +245,7 @@ fn conclude(
                 by_person.unwrap_or_else(|| episode::reason(&simulation.outcome, &control.tally))
             };
             let success = match wish {
-                Some(wish) => wish == Wish::Keep,
+                Some(wish) => wish == EpisodeCommand::Keep,
                 None => matches!(simulation.outcome, Outcome::Success),
             };
             let ended_by = watched.ended_by.clone().or_else(|| frames.ended_by.clone());

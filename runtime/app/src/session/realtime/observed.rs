@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use hal::{FrameRef, Observation, Policy as _, SeenArm, TimeNs};
+use hal::{ArmObservation, FrameRef, Observation, Policy as _, TimeNs};
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_topics::{
     ArmReport, ArmStateTopic, CameraTopic, FrameSubscriber, FrameView, Message as _, Subscriber,
@@ -14,7 +14,7 @@ use crate::session::SessionError;
 use crate::session::source::{camera_names, precedes_query};
 
 /// The newest reports of each arm and the newest frame of each camera.
-pub(in crate::session) struct Observed {
+pub(in crate::session) struct ObservationBuffer {
     arms: Vec<Subscriber<ArmReport>>,
     cameras: Vec<FrameSubscriber>,
     reports: Vec<Past>,
@@ -39,14 +39,14 @@ impl Past {
 }
 
 /// Reports and frames that belong together.
-pub(in crate::session) struct Whole<'a> {
+pub(in crate::session) struct AlignedObservation<'a> {
     /// The policy step.
     pub(in crate::session) sequence: u64,
-    arms: Vec<SeenArm>,
+    arms: Vec<ArmObservation>,
     frames: Vec<FrameRef<'a>>,
 }
 
-impl Whole<'_> {
+impl AlignedObservation<'_> {
     /// As a policy sees it.
     pub(in crate::session) fn observation(&self) -> Observation<'_> {
         Observation {
@@ -56,7 +56,7 @@ impl Whole<'_> {
     }
 }
 
-impl Observed {
+impl ObservationBuffer {
     /// Reads the topics of the arms and cameras that `network` was trained with.
     pub(in crate::session) fn open(
         node: &TopicNode,
@@ -102,7 +102,10 @@ impl Observed {
 
     /// The newest observation, once its parts belong together: the arms were measured when the first camera took its frame, and
     /// frames of others may be `frames_within_ns` from it.
-    pub(in crate::session) fn whole(&self, frames_within_ns: u64) -> Option<Whole<'_>> {
+    pub(in crate::session) fn whole(
+        &self,
+        frames_within_ns: u64,
+    ) -> Option<AlignedObservation<'_>> {
         let seen_at = match self.views.first() {
             Some(view) => Some(view.as_ref()?.header().stamp),
             None => None,
@@ -116,7 +119,7 @@ impl Observed {
             }
             frames.push(view.as_frame());
         }
-        Some(Whole {
+        Some(AlignedObservation {
             sequence,
             arms,
             frames,
@@ -126,19 +129,19 @@ impl Observed {
 
 /// What an observation is to a policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::session) enum Turn {
+pub(in crate::session) enum StepKind {
     /// It wants an answer.
-    Asked,
+    Query,
     /// It is to be remembered.
-    Shown,
+    Observe,
     /// It was dealt with, or is none that the policy wants.
-    Nothing,
+    Skip,
 }
 
 /// Turns begin at multiples of the query interval. When the camera or the network was too slow for the first observation of a turn, the
 /// newest one takes its place.
 #[derive(Debug)]
-pub(in crate::session) struct Turns {
+pub(in crate::session) struct QuerySchedule {
     every_steps: u64,
     history_steps: u64,
     /// The turn that the last answer was for.
@@ -147,7 +150,7 @@ pub(in crate::session) struct Turns {
     shown: Option<u64>,
 }
 
-impl Turns {
+impl QuerySchedule {
     pub(in crate::session) fn of(network: &LoadedPolicy) -> Self {
         Self {
             every_steps: u64::from(network.recipe().query_every_steps).max(1),
@@ -169,18 +172,18 @@ impl Turns {
     }
 
     /// What the observation of `step` is, which counts as dealt with from now on.
-    pub(in crate::session) fn of_step(&mut self, step: u64) -> Turn {
+    pub(in crate::session) fn of_step(&mut self, step: u64) -> StepKind {
         let turn = step / self.every_steps;
         if self.answered != Some(turn) {
             self.answered = Some(turn);
-            return Turn::Asked;
+            return StepKind::Query;
         }
         let wanted = precedes_query(step, self.every_steps, self.history_steps);
         if !wanted || self.shown == Some(step) {
-            return Turn::Nothing;
+            return StepKind::Skip;
         }
         self.shown = Some(step);
-        Turn::Shown
+        StepKind::Observe
     }
 }
 
@@ -188,7 +191,7 @@ impl Turns {
 fn of_one_instant(
     reports: &[Past],
     seen_at: Option<TimeNs>,
-) -> Option<(TimeNs, u64, Vec<SeenArm>)> {
+) -> Option<(TimeNs, u64, Vec<ArmObservation>)> {
     let mut first = reports.first()?.newest_first();
     first.find_map(|first| {
         if seen_at.is_some_and(|stamp| stamp != first.stamp) {
@@ -197,7 +200,7 @@ fn of_one_instant(
         let arms = reports.iter().map(|past| {
             let mut past = past.newest_first();
             past.find(|report| (report.stamp, report.sequence) == (first.stamp, first.sequence))
-                .map(|report| SeenArm {
+                .map(|report| ArmObservation {
                     state: report.state(),
                     tip_in_rcm: report.tip_in_rcm(),
                 })
@@ -254,7 +257,7 @@ mod tests {
 
     #[test]
     fn a_turn_is_answered_once_and_its_end_is_shown() {
-        let mut turns = Turns {
+        let mut turns = QuerySchedule {
             every_steps: 10,
             history_steps: 2,
             answered: None,
@@ -262,15 +265,15 @@ mod tests {
         };
         let mut seen = |step| turns.of_step(step);
         // The first of a turn that can be answered is, be it late.
-        assert_eq!(seen(3), Turn::Asked);
-        assert_eq!(seen(3), Turn::Nothing);
-        assert_eq!(seen(7), Turn::Nothing);
-        assert_eq!(seen(8), Turn::Shown);
-        assert_eq!(seen(8), Turn::Nothing);
-        assert_eq!(seen(9), Turn::Shown);
-        assert_eq!(seen(10), Turn::Asked);
-        assert_eq!(seen(11), Turn::Nothing);
+        assert_eq!(seen(3), StepKind::Query);
+        assert_eq!(seen(3), StepKind::Skip);
+        assert_eq!(seen(7), StepKind::Skip);
+        assert_eq!(seen(8), StepKind::Observe);
+        assert_eq!(seen(8), StepKind::Skip);
+        assert_eq!(seen(9), StepKind::Observe);
+        assert_eq!(seen(10), StepKind::Query);
+        assert_eq!(seen(11), StepKind::Skip);
         turns.begin();
-        assert_eq!(turns.of_step(10), Turn::Asked);
+        assert_eq!(turns.of_step(10), StepKind::Query);
     }
 }

@@ -10,21 +10,21 @@ use trocar_log::SideLog;
 use super::Simulated;
 use super::arm_states::StatesThread;
 use super::cameras::{Cameras, Stage};
+use super::channels::ObserverChannels;
 use super::child::PolicyChild;
 use super::frames_thread::{FramesEnd, FramesThread};
-use super::on_can::{Camera, News, arm_reports};
+use super::on_can::{Camera, CanEventLog, arm_reports};
 use super::robot::{RobotOptions, RobotThread};
 use super::scene_topics::{SceneForPages, Snapshot};
 use super::signals::Signals;
 use super::simulation_thread::{ConsoleView, Shown, SimulationThread};
 use super::threads::joined;
-use super::wires::SeenWires;
 use crate::mailbox::{MailboxReader, mailbox};
 use crate::rt::{self, MonotonicClock};
 use crate::session::{Plan, SessionError};
 use trocar_topics::{ArmReport, Events, Publisher};
 
-/// Time between two looks at what a log without frames is to say, ns.
+/// Polling period for what a log without frames is to say, ns.
 const TOLD_NS: u64 = 20_000_000;
 
 /// The threads before they run.
@@ -155,9 +155,9 @@ impl Others {
         signals: &Arc<Signals>,
     ) -> Result<FramesEnd, SessionError> {
         let (_, noticed) = mailbox();
-        let seen = SeenWires {
+        let seen = ObserverChannels {
             measured: self.measured,
-            news: News::new(noticed),
+            news: CanEventLog::new(noticed),
             log,
             signals: Arc::clone(signals),
             clock,

@@ -6,7 +6,7 @@ use tch::Device;
 use trocar_nets::loaded_policy::LoadedPolicy;
 
 use super::child::{Outside, PolicyChild, check_cameras};
-use super::on_can::Say;
+use super::on_can::PrintLine;
 use crate::session::external::{About, ExternalLink, check_wanted};
 use crate::session::plan::Arms;
 use crate::session::source::{ChunkSource, camera_names};
@@ -112,7 +112,7 @@ impl<'a> Opened<'a> {
         self,
         plan: &Plan<S>,
         outside: Outside<'_>,
-        say: Say<'_>,
+        say: PrintLine<'_>,
     ) -> Result<(Option<PolicyChild>, Option<ChunkSource>), SessionError> {
         let child = match self {
             Self::Local(source) => return Ok((None, Some(*source))),

@@ -12,7 +12,7 @@ use trocar_topics::{
     RunControlTopic, Subscriber, TopicNode,
 };
 
-use super::observed::{Observed, Turn, Turns};
+use super::observed::{ObservationBuffer, QuerySchedule, StepKind};
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
 use crate::session::external::LOOK_NS;
@@ -102,12 +102,12 @@ struct Counts {
 
 struct Service {
     control: Subscriber<RunControl>,
-    observed: Observed,
+    observed: ObservationBuffer,
     /// One an arm.
     chunks: Vec<Publisher<Chunk>>,
     status: Publisher<PolicyStatus>,
     network: LoadedPolicy,
-    turns: Turns,
+    turns: QuerySchedule,
     /// How far a frame of any camera but the first may be from the instant of an observation, ns.
     frames_within_ns: u64,
     counts: Counts,
@@ -120,10 +120,10 @@ impl Service {
         let chunks = names.map(|arm| ChunkTopic::publisher(node, arm));
         Ok(Self {
             control: RunControlTopic::subscriber(node, FIRST_ARM)?,
-            observed: Observed::open(node, &network)?,
+            observed: ObservationBuffer::open(node, &network)?,
             chunks: chunks.collect::<Result<_, _>>()?,
             status: PolicyStatusTopic::publisher(node, FIRST_ARM)?,
-            turns: Turns::of(&network),
+            turns: QuerySchedule::of(&network),
             frames_within_ns: options.frames_within_ms * 1_000_000,
             counts: Counts::default(),
             network,
@@ -154,9 +154,9 @@ impl Service {
             return Ok(());
         };
         match self.turns.of_step(whole.sequence) {
-            Turn::Nothing => Ok(()),
-            Turn::Shown => Ok(self.network.observe(&whole.observation())?),
-            Turn::Asked => {
+            StepKind::Skip => Ok(()),
+            StepKind::Observe => Ok(self.network.observe(&whole.observation())?),
+            StepKind::Query => {
                 let clock = MonotonicClock::new();
                 let before = clock.now();
                 let chunks = self.network.infer(&whole.observation())?;

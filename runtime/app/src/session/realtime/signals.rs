@@ -10,9 +10,9 @@ use crate::console::Console;
 use crate::rt;
 use crate::session::operator::Served;
 
-/// What a run can lack, so that its arms hold; each is a bit of the flags.
+/// Why arms hold; each cause is a bit of the flags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Lacking {
+pub(super) enum HoldCause {
     /// A policy that answers.
     Answers = 1,
     /// A camera that the policy looks through.
@@ -97,19 +97,19 @@ impl Signals {
     }
 
     /// Whether that is lacking.
-    pub(super) fn lacks(&self, what: Lacking) -> bool {
+    pub(super) fn lacks(&self, what: HoldCause) -> bool {
         self.lacking.load(Ordering::Acquire) & what as u8 != 0
     }
 
     /// Makes the arms hold, since that is lacking.
-    pub(super) fn hold(&self, what: Lacking) {
+    pub(super) fn hold(&self, what: HoldCause) {
         self.lacking.fetch_or(what as u8, Ordering::AcqRel);
     }
 
     /// Makes the arms hold until there is an answer to an observation of `from` or later.
     pub(super) fn hold_for_answers(&self, from: TimeNs) {
         self.answers_from.store(from.0, Ordering::Release);
-        self.hold(Lacking::Answers);
+        self.hold(HoldCause::Answers);
     }
 
     /// From when on an answer's observation must be to end a hold.
@@ -118,7 +118,7 @@ impl Signals {
     }
 
     /// Lets the arms go on, unless something else is lacking.
-    pub(super) fn go_on(&self, what: Lacking) {
+    pub(super) fn go_on(&self, what: HoldCause) {
         self.lacking.fetch_and(!(what as u8), Ordering::AcqRel);
     }
 
@@ -163,9 +163,9 @@ impl Served for Signals {
 }
 
 /// Held by every thread but the control thread: when the thread ends for whatever reason, a panic included, so does the run.
-pub(super) struct EndsRun<'a>(pub(super) &'a Signals);
+pub(super) struct EndRunOnDrop<'a>(pub(super) &'a Signals);
 
-impl Drop for EndsRun<'_> {
+impl Drop for EndRunOnDrop<'_> {
     fn drop(&mut self) {
         self.0.end_run();
     }
@@ -200,7 +200,7 @@ mod tests {
         let signals = Signals::default();
         std::thread::scope(|scope| {
             let panicked = scope.spawn(|| {
-                let _ends = EndsRun(&signals);
+                let _ends = EndRunOnDrop(&signals);
                 std::panic::resume_unwind(Box::new("a bug"));
             });
             assert!(panicked.join().is_err());

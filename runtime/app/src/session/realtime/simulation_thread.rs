@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::thread::Thread;
 
-use hal::{Arm, ArmState, Chunk, PerArm, SeenArm, Setpoint, TICK_NS, TimeNs, TipTarget};
+use hal::{Arm, ArmObservation, ArmState, Chunk, PerArm, Setpoint, TICK_NS, TimeNs, TipTarget};
 use rtrb::{Consumer, Producer};
 use trocar_tasks::simulation::Simulation;
 use trocar_tasks::task::Outcome;
@@ -11,7 +11,7 @@ use trocar_world::tissue::TissueExtremes;
 
 use super::arm_states::StepStates;
 use super::scene_topics::Snapshot;
-use super::signals::{EndsRun, Signals};
+use super::signals::{EndRunOnDrop, Signals};
 use crate::console::{BETWEEN_NS, FrameTap, TaskState};
 use crate::histogram::Histogram;
 use crate::mailbox::MailboxWriter;
@@ -69,7 +69,7 @@ impl Shown {
     }
 
     /// Shows the step to those that want to see it. One that is still busy with another step finds the newest when it is done.
-    fn show(&mut self, step: u64, arms: &PerArm<SeenArm>, simulation: &Simulation) {
+    fn show(&mut self, step: u64, arms: &PerArm<ArmObservation>, simulation: &Simulation) {
         let stamp = arms.first.state.stamp;
         let snapshot = || Snapshot {
             step,
@@ -151,7 +151,7 @@ impl SimulationThread {
         first: TimeNs,
     ) -> Result<SimulationEnd, SessionError> {
         let signals = Arc::clone(&self.signals);
-        let _ends = EndsRun(&signals);
+        let _ends = EndRunOnDrop(&signals);
         // Never strict: without it the arm is only less punctual.
         let _granted = configure_thread(&self.profile);
         let mut periodic = Periodic::new(clock, first, TICK_NS);
@@ -250,7 +250,11 @@ impl SimulationThread {
     }
 
     /// Lets an operator take over, who may take more time than the policy has.
-    fn look_at_hands(&mut self, tick: u64, arms: &PerArm<SeenArm>) -> Result<(), SessionError> {
+    fn look_at_hands(
+        &mut self,
+        tick: u64,
+        arms: &PerArm<ArmObservation>,
+    ) -> Result<(), SessionError> {
         let Some(intervention) = &mut self.intervention else {
             return Ok(());
         };
@@ -293,7 +297,7 @@ impl SimulationThread {
     fn ask(
         &mut self,
         tick: u64,
-        arms: &PerArm<SeenArm>,
+        arms: &PerArm<ArmObservation>,
         inference: &mut Histogram,
     ) -> Result<(), SessionError> {
         if let Some((source, chunks)) = &mut self.local {

@@ -10,7 +10,7 @@ use trocar_control::Supervision;
 use trocar_log::Level;
 
 use super::child::PolicyChild;
-use super::signals::{Lacking, Signals};
+use super::signals::{HoldCause, Signals};
 use super::supervisor::Supervisor;
 use crate::histogram::Histogram;
 use crate::rt::MonotonicClock;
@@ -34,7 +34,7 @@ impl<'a> Supervised<'a> {
         Self {
             child,
             chunks,
-            supervisor: Supervisor::new(Some(Lacking::Answers), clock, rules),
+            supervisor: Supervisor::new(Some(HoldCause::Answers), clock, rules),
         }
     }
 
@@ -58,12 +58,12 @@ impl<'a> Supervised<'a> {
             return Ok(());
         }
         if let Some(answer) = self.child.newest_chunks()? {
-            if signals.lacks(Lacking::Answers) {
+            if signals.lacks(HoldCause::Answers) {
                 if answer.first.observed_at < signals.answers_from() {
                     return Ok(());
                 }
                 // Before the chunk: arms that are paused would ignore it.
-                signals.go_on(Lacking::Answers);
+                signals.go_on(HoldCause::Answers);
                 self.supervisor.tell(
                     signals,
                     Level::Info,
@@ -81,7 +81,7 @@ impl<'a> Supervised<'a> {
 
     /// Starts it again when it is time to; why the run ends with it, if so.
     pub(super) fn look_after(&mut self, signals: &Signals) -> Result<Option<String>, SessionError> {
-        if signals.lacks(Lacking::Frames) {
+        if signals.lacks(HoldCause::Frames) {
             self.child.excuse();
         }
         self.supervisor.look_after(self.child, signals)

@@ -8,8 +8,8 @@ use trocar_control::Supervision;
 use trocar_log::Level;
 use trocar_topics::Events;
 
-use super::on_can::{PATIENCE_NS, Say};
-use super::signals::{Lacking, Signals};
+use super::on_can::{PATIENCE_NS, PrintLine};
+use super::signals::{HoldCause, Signals};
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
 use crate::session::external::LOOK_NS;
@@ -46,7 +46,7 @@ pub(super) fn await_ready(
     remote: &mut impl Remote,
     (clock, within_ns): (MonotonicClock, u64),
     events: &Events,
-    say: Say<'_>,
+    say: PrintLine<'_>,
 ) -> Result<(), SessionError> {
     let (mut said, within_s) = (false, within_ns / 1_000_000_000);
     while clock.now().0 < within_ns {
@@ -78,32 +78,32 @@ pub(super) fn await_ready(
 
 /// Where the process is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Presence {
+enum ProcessState {
     /// It answers.
-    Here,
+    Running,
     /// It is started again at this time.
-    Away(TimeNs),
+    Backoff(TimeNs),
     /// It was started again, and has until this time to be ready.
-    Coming(TimeNs),
+    Starting(TimeNs),
 }
 
 /// Looks after one process.
 pub(super) struct Supervisor {
     /// What the arms lack while it is away, if they need it.
-    lacking: Option<Lacking>,
+    lacking: Option<HoldCause>,
     /// The run's.
     clock: MonotonicClock,
     rules: Supervision,
     /// Says on the terminal what happens.
     warn: fn(&str),
-    presence: Presence,
+    presence: ProcessState,
     restarts: u32,
 }
 
 impl Supervisor {
     /// By the run's `clock`; while the process is away the arms hold for what is `lacking`, if anything.
     pub(super) const fn new(
-        lacking: Option<Lacking>,
+        lacking: Option<HoldCause>,
         clock: MonotonicClock,
         (rules, warn): (Supervision, fn(&str)),
     ) -> Self {
@@ -112,7 +112,7 @@ impl Supervisor {
             clock,
             rules,
             warn,
-            presence: Presence::Here,
+            presence: ProcessState::Running,
             restarts: 0,
         }
     }
@@ -124,7 +124,7 @@ impl Supervisor {
 
     /// Whether it is not away.
     pub(super) fn is_here(&self) -> bool {
-        self.presence == Presence::Here
+        self.presence == ProcessState::Running
     }
 
     /// Starts `remote` again when it is time to; why it is lost for good, if so.
@@ -135,18 +135,18 @@ impl Supervisor {
     ) -> Result<Option<String>, SessionError> {
         let now = self.clock.now();
         match self.presence {
-            Presence::Here => {
+            ProcessState::Running => {
                 let reason = remote.lost();
                 Ok(reason.and_then(|reason| self.lose(reason, remote.is_own(), signals)))
             }
-            Presence::Away(again_at) => {
+            ProcessState::Backoff(again_at) => {
                 if now >= again_at {
                     remote.call_again()?;
-                    self.presence = Presence::Coming(now.plus_ns(self.rules.return_ns));
+                    self.presence = ProcessState::Starting(now.plus_ns(self.rules.return_ns));
                 }
                 Ok(None)
             }
-            Presence::Coming(until) => self.expect(remote, now, until, signals),
+            ProcessState::Starting(until) => self.expect(remote, now, until, signals),
         }
     }
 
@@ -161,11 +161,11 @@ impl Supervisor {
         match remote.is_back(now) {
             Ok(false) => {}
             Ok(true) => {
-                self.presence = Presence::Here;
-                if self.lacking == Some(Lacking::Frames) {
+                self.presence = ProcessState::Running;
+                if self.lacking == Some(HoldCause::Frames) {
                     // What the policy answers to frames of before does not count.
                     signals.hold_for_answers(now);
-                    signals.go_on(Lacking::Frames);
+                    signals.go_on(HoldCause::Frames);
                 }
                 let text = format!("{} is ready again", remote.who());
                 self.tell(signals, Level::Info, &text);
@@ -209,11 +209,11 @@ impl Supervisor {
         self.restarts += 1;
         let (time, of) = (self.restarts, self.rules.restarts);
         let next = if own {
-            self.presence = Presence::Away(self.clock.now().plus_ns(backoff_ns));
+            self.presence = ProcessState::Backoff(self.clock.now().plus_ns(backoff_ns));
             let seconds = TimeNs(backoff_ns).seconds();
             format!("it is started again in {seconds:.1} s")
         } else {
-            self.presence = Presence::Away(self.clock.now());
+            self.presence = ProcessState::Backoff(self.clock.now());
             let seconds = TimeNs(self.rules.return_ns).seconds();
             format!("it may come back within {seconds:.1} s")
         };
@@ -270,7 +270,7 @@ mod tests {
         }
     }
 
-    fn supervised(lacking: Option<Lacking>, restarts: u32) -> Supervisor {
+    fn supervised(lacking: Option<HoldCause>, restarts: u32) -> Supervisor {
         let rules = Supervision {
             restarts,
             backoff_ns: 0,
@@ -283,7 +283,8 @@ mod tests {
     /// Arms that need frames hold until the policy has answered new ones; then it may be lost no more often than is allowed.
     #[test]
     fn arms_hold_for_frames_and_then_for_an_answer() {
-        let (signals, mut supervisor) = (Signals::default(), supervised(Some(Lacking::Frames), 1));
+        let (signals, mut supervisor) =
+            (Signals::default(), supervised(Some(HoldCause::Frames), 1));
         let mut fake = Fake {
             gone: false,
             calls: 0,
@@ -293,10 +294,10 @@ mod tests {
         assert!(!signals.held());
         fake.gone = true;
         assert_eq!(look(&mut fake), None);
-        assert!(signals.lacks(Lacking::Frames));
+        assert!(signals.lacks(HoldCause::Frames));
         assert_eq!((look(&mut fake), fake.calls), (None, 1));
         assert_eq!(look(&mut fake), None);
-        assert!(!signals.lacks(Lacking::Frames) && signals.lacks(Lacking::Answers));
+        assert!(!signals.lacks(HoldCause::Frames) && signals.lacks(HoldCause::Answers));
         assert!(signals.answers_from() > TimeNs(0));
         fake.gone = true;
         assert_eq!(look(&mut fake), Some("the process ended".to_owned()));

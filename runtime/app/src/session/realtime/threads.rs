@@ -5,12 +5,12 @@ use std::thread::{self, ScopedJoinHandle};
 use hal::{Chunk, PerArm};
 use rtrb::Producer;
 
+use super::channels::Local;
 use super::child::PolicyChild;
 use super::control_thread::ControlEnd;
 use super::signals::Signals;
 use super::supervised::Supervised;
 use super::watch::{Watched, watch};
-use super::wires::Local;
 use crate::rt::MonotonicClock;
 use crate::session::operator::Listener;
 use crate::session::plan::Arms;

@@ -1,13 +1,13 @@
 //! The run as its first thread sees it: chunks from the policy process to the control thread, and reasons to end.
 
-use super::signals::{EndsRun, Signals};
+use super::signals::{EndRunOnDrop, Signals};
 use super::supervised::Supervised;
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
 use crate::session::run::{INTERRUPTED, STOPPED};
 
-/// Time between two looks at the signals, where no policy process wakes this thread, ns.
+/// Polling period for the signals, where no policy process wakes this thread, ns.
 const IDLE_NS: u64 = 10_000_000;
 
 /// What was seen.
@@ -28,7 +28,7 @@ pub(super) fn watch(
     mut policy: Option<Supervised<'_>>,
     signals: &Signals,
 ) -> Result<Watched, SessionError> {
-    let _ends = EndsRun(signals);
+    let _ends = EndRunOnDrop(signals);
     let mut watched = Watched {
         ended_by: None,
         inference: Histogram::new(),

@@ -14,7 +14,7 @@ use tch::Device;
 use trocar_render::Shading;
 use trocar_tasks::simulation::{Rendering, Simulation};
 
-use super::episode::{Episode, Nobody, Timing};
+use super::episode::{Episode, NoObserver, Timing};
 use super::latency::Latency;
 use super::scene_options::SceneOptions;
 use super::{PolicyChoice, SessionError, Setup, pictures};
@@ -32,7 +32,7 @@ pub struct SheetOptions {
     pub out: PathBuf,
     /// The seed of every episode.
     pub seed: u64,
-    /// Width of one picture, pixels.
+    /// Width of one image, pixels.
     pub width: u32,
     /// The moment, as a share of the time that the expert takes, 0 to 1.
     pub at: f64,
@@ -132,7 +132,7 @@ fn play(
         controller: &mut setup.controller()?,
         source: &mut source,
     };
-    let end = episode.run(&timing, &mut Nobody)?;
+    let end = episode.run(&timing, &mut NoObserver)?;
     Ok((simulation, end.tally.ticks()))
 }
 

@@ -12,7 +12,7 @@ use core::fmt;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Clutch {
     /// It was released by force, or never was free: before the hand can engage it has to let go.
-    Lost(Lost),
+    Released(ReleaseCause),
     /// The hand can engage.
     Open,
     /// The arm follows the hand; the number is that of the engagement, counted from 1.
@@ -32,7 +32,7 @@ pub(super) enum Grip {
 
 /// Why a clutch was released by force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Lost {
+pub(crate) enum ReleaseCause {
     /// No message of a hand has come.
     NotYet,
     /// No message of the hand came for too long, or the newest is old.
@@ -62,8 +62,8 @@ impl Clutch {
     #[must_use]
     pub(super) const fn after(self, grip: Grip, engagements: &mut u64) -> Self {
         match (self, grip) {
-            (Self::Lost(why), Grip::Held | Grip::Misaligned) => Self::Lost(why),
-            (Self::Lost(_) | Self::Open | Self::Engaged(_), Grip::Open)
+            (Self::Released(why), Grip::Held | Grip::Misaligned) => Self::Released(why),
+            (Self::Released(_) | Self::Open | Self::Engaged(_), Grip::Open)
             | (Self::Open, Grip::Misaligned) => Self::Open,
             (Self::Open, Grip::Held) => {
                 *engagements += 1;
@@ -75,17 +75,17 @@ impl Clutch {
 
     /// What it is after something went wrong.
     #[must_use]
-    pub(super) const fn lost(self, why: Lost) -> Self {
+    pub(super) const fn lost(self, why: ReleaseCause) -> Self {
         match self {
-            Self::Engaged(_) | Self::Open => Self::Lost(why),
-            Self::Lost(_) => self,
+            Self::Engaged(_) | Self::Open => Self::Released(why),
+            Self::Released(_) => self,
         }
     }
 
     /// Why it was released by force, if it was.
-    pub(super) const fn why(self) -> Option<Lost> {
+    pub(super) const fn why(self) -> Option<ReleaseCause> {
         match self {
-            Self::Lost(why) => Some(why),
+            Self::Released(why) => Some(why),
             Self::Open | Self::Engaged(_) => None,
         }
     }
@@ -96,7 +96,7 @@ impl Clutch {
     }
 }
 
-impl fmt::Display for Lost {
+impl fmt::Display for ReleaseCause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::NotYet => "no hand yet",
@@ -121,7 +121,7 @@ mod tests {
     /// Walks the table: state, what the hand does (none: something is wrong), the state after it.
     #[test]
     fn clutch_follows_its_table() {
-        let lost = Clutch::Lost(Lost::Stale);
+        let lost = Clutch::Released(ReleaseCause::Stale);
         let (open, misaligned, held) = (Some(Grip::Open), Some(Grip::Misaligned), Some(Grip::Held));
         let mut engagements = 4;
         for (before, grip, after) in [
@@ -132,16 +132,20 @@ mod tests {
             (Clutch::Open, misaligned, Clutch::Open),
             (Clutch::Open, held, Clutch::Engaged(5)),
             (Clutch::Open, open, Clutch::Open),
-            (Clutch::Open, None, Clutch::Lost(Lost::Jump)),
+            (Clutch::Open, None, Clutch::Released(ReleaseCause::Jump)),
             (Clutch::Engaged(5), held, Clutch::Engaged(5)),
             (Clutch::Engaged(5), misaligned, Clutch::Engaged(5)),
             (Clutch::Engaged(5), open, Clutch::Open),
-            (Clutch::Engaged(5), None, Clutch::Lost(Lost::Jump)),
+            (
+                Clutch::Engaged(5),
+                None,
+                Clutch::Released(ReleaseCause::Jump),
+            ),
             (Clutch::Open, held, Clutch::Engaged(6)),
         ] {
             let found = match grip {
                 Some(grip) => before.after(grip, &mut engagements),
-                None => before.lost(Lost::Jump),
+                None => before.lost(ReleaseCause::Jump),
             };
             assert_eq!(found, after, "{before:?} {grip:?}");
         }

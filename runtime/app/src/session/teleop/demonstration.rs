@@ -2,16 +2,16 @@
 
 use std::sync::Arc;
 
-use hal::{PerArm, SeenArm, TipTarget};
+use hal::{ArmObservation, PerArm, TipTarget};
 use serde::{Deserialize, Serialize};
 use trocar_tasks::scene::SceneSnapshot;
 
 use super::{Driver, Hands};
 
-/// A wish of the page that steers.
+/// A command on the episode, of the page in control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Wish {
+pub enum EpisodeCommand {
     /// Begin the episode, which waits for it.
     Start,
     /// End it and keep it: it is a success, whatever the judge lacks.
@@ -22,7 +22,7 @@ pub enum Wish {
     Discard,
 }
 
-impl Wish {
+impl EpisodeCommand {
     /// Why the episode ended, in words.
     #[must_use]
     pub const fn reason(self) -> &'static str {
@@ -37,9 +37,9 @@ impl Wish {
 
 /// A policy step of a demonstration.
 #[derive(Clone, Copy, Debug)]
-pub struct Moment {
+pub struct DemonstrationStep {
     /// The measured arms.
-    pub arms: PerArm<SeenArm>,
+    pub arms: PerArm<ArmObservation>,
     /// Where whoever drives wants the tips.
     pub targets: PerArm<TipTarget>,
     /// Whether an operator's hands drive.
@@ -52,9 +52,9 @@ pub struct Moment {
 #[derive(Clone, Debug, Default)]
 pub struct Demonstration {
     /// Its steps, from its start.
-    pub moments: Vec<Moment>,
+    pub moments: Vec<DemonstrationStep>,
     /// How the person ended it; none if the judge did, or something else.
-    pub ended: Option<Wish>,
+    pub ended: Option<EpisodeCommand>,
 }
 
 /// A demonstration while it goes on: it waits for its start, during which time stands still.
@@ -76,7 +76,7 @@ impl Demonstrating {
 
     /// Whether time passes: the person has started the episode.
     pub(crate) fn runs(&mut self) -> bool {
-        if !self.started && self.hands.take_wish() == Some(Wish::Start) {
+        if !self.started && self.hands.take_episode_command() == Some(EpisodeCommand::Start) {
             self.started = true;
             self.hands.start();
         }
@@ -86,7 +86,7 @@ impl Demonstrating {
     /// Whether the person has ended it.
     pub(crate) fn has_ended(&mut self) -> bool {
         if self.started && self.so_far.ended.is_none() {
-            self.so_far.ended = self.hands.take_wish();
+            self.so_far.ended = self.hands.take_episode_command();
         }
         self.so_far.ended.is_some()
     }
@@ -94,12 +94,12 @@ impl Demonstrating {
     /// A policy step, if it is under way: the measured arms, and where whoever drives wants their tips.
     pub(crate) fn note(
         &mut self,
-        arms: &PerArm<SeenArm>,
+        arms: &PerArm<ArmObservation>,
         (driver, targets): (Driver, &PerArm<TipTarget>),
         scene: impl FnOnce() -> SceneSnapshot,
     ) {
         if self.started && self.so_far.ended.is_none() {
-            self.so_far.moments.push(Moment {
+            self.so_far.moments.push(DemonstrationStep {
                 arms: *arms,
                 targets: *targets,
                 by_hand: driver == Driver::Operator,

@@ -4,11 +4,11 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use hal::{ARMS_MAX, Pose, TimeNs};
 
-use super::clutch::{Clutch, Lost};
-use super::demonstration::Wish;
+use super::clutch::{Clutch, ReleaseCause};
+use super::demonstration::EpisodeCommand;
 use super::held::Held;
 use super::latency::{Counts, TeleopSummary, Transit};
-use super::message::{BadHands, Hand, HandsMessage};
+use super::message::{Hand, HandsMessage, HandsMessageError};
 use super::status::{ArmStatus, Phase, Recording, TeleopStatus, numbers};
 use super::{ALIGNS_DEG, Commanded, Driver, SCALES, STALE_NS};
 use crate::mailbox::MailboxReader;
@@ -40,7 +40,7 @@ pub(super) struct Look {
     /// The hands that move their arms.
     pub(super) moving: [Option<Moving>; ARMS_MAX],
     /// Why each other arm was released by force, if it was.
-    pub(super) lost: [Option<Lost>; ARMS_MAX],
+    pub(super) lost: [Option<ReleaseCause>; ARMS_MAX],
     pub(super) scale: f64,
     /// When the newest message came, with what it was late by taken off.
     pub(super) sent: Option<TimeNs>,
@@ -64,7 +64,7 @@ impl Hands {
     /// From now on `arms` arms are moved by hand. What was counted is forgotten, and a new clutch is needed.
     pub(crate) fn begin(&self, arms: usize, waits: bool) {
         let mut inner = self.lock();
-        inner.lose(Lost::NoEpisode);
+        inner.lose(ReleaseCause::NoEpisode);
         inner.arms = arms.min(ARMS_MAX);
         inner.waits = waits;
         inner.driver = None;
@@ -113,12 +113,12 @@ impl Hands {
     /// The page that steers gives the arms back to the policy.
     ///
     /// # Errors
-    /// [`BadHands::NoPolicy`] if there is none, [`BadHands::NotNow`] before the episode is started.
-    pub(crate) fn hand_back(&self) -> Result<(), BadHands> {
+    /// [`HandsMessageError::NoPolicy`] if there is none, [`HandsMessageError::NotNow`] before the episode is started.
+    pub(crate) fn hand_back(&self) -> Result<(), HandsMessageError> {
         let mut inner = self.lock();
-        let driver = inner.driver.ok_or(BadHands::NoPolicy)?;
+        let driver = inner.driver.ok_or(HandsMessageError::NoPolicy)?;
         if inner.waits {
-            return Err(BadHands::NotNow);
+            return Err(HandsMessageError::NotNow);
         }
         if driver == Driver::Operator {
             inner.give_back();
@@ -145,8 +145,8 @@ impl Hands {
     /// The operator's hands from the page in `seat`, which steers.
     ///
     /// # Errors
-    /// [`BadHands`]; what was engaged is released.
-    pub(crate) fn hear(&self, seat: u64, message: &HandsMessage) -> Result<(), BadHands> {
+    /// [`HandsMessageError`]; what was engaged is released.
+    pub(crate) fn hear(&self, seat: u64, message: &HandsMessage) -> Result<(), HandsMessageError> {
         self.hear_at(seat, message, self.clock.now())
     }
 
@@ -155,26 +155,26 @@ impl Hands {
         seat: u64,
         message: &HandsMessage,
         now: TimeNs,
-    ) -> Result<(), BadHands> {
+    ) -> Result<(), HandsMessageError> {
         let mut inner = self.lock();
         if inner.arms == 0 {
-            return Err(BadHands::NoTeleop);
+            return Err(HandsMessageError::NoTeleop);
         }
         if inner.seat != Some(seat) {
-            inner.lose(Lost::Seat);
+            inner.lose(ReleaseCause::Seat);
             (inner.seat, inner.received) = (Some(seat), None);
             (inner.arrived, inner.round_trip_ns) = (None, 0);
         }
         let back = |(_, before): (TimeNs, f64)| message.t < before;
         let hands = if inner.received.is_some_and(back) {
-            Err(BadHands::Time)
+            Err(HandsMessageError::Time)
         } else {
             message.hands(inner.arms)
         };
         let hands = match hands {
             Ok(hands) => hands,
             Err(bad) => {
-                inner.lose(Lost::Nonsense);
+                inner.lose(ReleaseCause::Nonsense);
                 return Err(bad);
             }
         };
@@ -186,7 +186,7 @@ impl Hands {
         inner.check_age(now);
         // Lateness that all messages have alike shows in pings alone.
         if late_ns > STALE_NS || inner.round_trip_ns / 2 > STALE_NS {
-            inner.lose(Lost::Stale);
+            inner.lose(ReleaseCause::Stale);
             return Ok(());
         }
         inner.received = Some((TimeNs(now.0.saturating_sub(late_ns)), message.t));
@@ -196,7 +196,7 @@ impl Hands {
     }
 
     /// Releases what the page in `seat` holds.
-    pub(crate) fn release(&self, seat: u64, why: Lost) {
+    pub(crate) fn release(&self, seat: u64, why: ReleaseCause) {
         let mut inner = self.lock();
         if inner.seat == Some(seat) {
             inner.lose(why);
@@ -204,17 +204,17 @@ impl Hands {
     }
 
     /// Releases an arm that does not follow.
-    pub(super) fn release_arm(&self, arm: usize, why: Lost) {
+    pub(super) fn release_arm(&self, arm: usize, why: ReleaseCause) {
         self.lock().lose_one(arm, why);
     }
 
     /// The tip makes this part of the hand's way from now on.
     ///
     /// # Errors
-    /// [`BadHands::Scale`].
-    pub(crate) fn set_scale(&self, scale: f64) -> Result<(), BadHands> {
+    /// [`HandsMessageError::Scale`].
+    pub(crate) fn set_scale(&self, scale: f64) -> Result<(), HandsMessageError> {
         if !SCALES.contains(&scale) {
-            return Err(BadHands::Scale);
+            return Err(HandsMessageError::Scale);
         }
         self.lock().scale = Some(scale);
         Ok(())
@@ -223,10 +223,10 @@ impl Hands {
     /// A tracked controller engages within this angle of its instrument from now on, degrees.
     ///
     /// # Errors
-    /// [`BadHands::Align`].
-    pub(crate) fn set_align_deg(&self, degrees: f64) -> Result<(), BadHands> {
+    /// [`HandsMessageError::Align`].
+    pub(crate) fn set_align_deg(&self, degrees: f64) -> Result<(), HandsMessageError> {
         if !ALIGNS_DEG.contains(&degrees) {
-            return Err(BadHands::Align);
+            return Err(HandsMessageError::Align);
         }
         self.lock().align_deg = Some(degrees);
         Ok(())
@@ -256,7 +256,7 @@ impl Hands {
         inner.check_age(now);
         let moving = inner.hands.map(|arm| match (arm.clutch, arm.hand) {
             (Clutch::Engaged(engagement), Some(hand)) => Some(Moving { engagement, hand }),
-            (Clutch::Engaged(_) | Clutch::Lost(_) | Clutch::Open, _) => None,
+            (Clutch::Engaged(_) | Clutch::Released(_) | Clutch::Open, _) => None,
         });
         Look {
             now,
@@ -280,20 +280,20 @@ impl Hands {
         }
     }
 
-    /// A wish of the page that steers.
+    /// A command on the episode, of the page in control.
     ///
     /// # Errors
-    /// [`BadHands::NoRecording`] if nothing is recorded, [`BadHands::NotNow`] if it does not apply.
-    pub(crate) fn wish(&self, wish: Wish) -> Result<(), BadHands> {
+    /// [`HandsMessageError::NoRecording`] if nothing is recorded, [`HandsMessageError::NotNow`] if it does not apply.
+    pub(crate) fn wish(&self, wish: EpisodeCommand) -> Result<(), HandsMessageError> {
         let mut inner = self.lock();
-        let recording = inner.recording.ok_or(BadHands::NoRecording)?;
+        let recording = inner.recording.ok_or(HandsMessageError::NoRecording)?;
         let applies = match recording.phase {
-            Phase::Waiting => wish == Wish::Start,
-            Phase::Running => wish != Wish::Start,
+            Phase::Waiting => wish == EpisodeCommand::Start,
+            Phase::Running => wish != EpisodeCommand::Start,
             Phase::Writing => false,
         };
         if !applies {
-            return Err(BadHands::NotNow);
+            return Err(HandsMessageError::NotNow);
         }
         inner.wish = Some(wish);
         Ok(())
@@ -302,11 +302,11 @@ impl Hands {
     /// The demonstration under way is called `text` in the dataset.
     ///
     /// # Errors
-    /// [`BadHands::NoRecording`] if nothing is recorded.
-    pub(crate) fn set_label(&self, text: String) -> Result<(), BadHands> {
+    /// [`HandsMessageError::NoRecording`] if nothing is recorded.
+    pub(crate) fn set_label(&self, text: String) -> Result<(), HandsMessageError> {
         let mut inner = self.lock();
         if inner.recording.is_none() {
-            return Err(BadHands::NoRecording);
+            return Err(HandsMessageError::NoRecording);
         }
         inner.label = text;
         Ok(())
@@ -318,7 +318,7 @@ impl Hands {
     }
 
     /// The newest wish, if there is one.
-    pub(crate) fn take_wish(&self) -> Option<Wish> {
+    pub(crate) fn take_episode_command(&self) -> Option<EpisodeCommand> {
         self.lock().wish.take()
     }
 
@@ -338,7 +338,7 @@ impl Hands {
     pub(crate) fn rest(&self) {
         let mut inner = self.lock();
         inner.waits = true;
-        inner.lose(Lost::NoEpisode);
+        inner.lose(ReleaseCause::NoEpisode);
     }
 
     /// How the recording stands.

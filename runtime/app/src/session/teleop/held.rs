@@ -3,8 +3,8 @@
 use hal::{ARMS_MAX, Pose, TimeNs};
 
 use super::alignment::{DEFAULT_ALIGN_DEG, misaligned_deg};
-use super::clutch::{Clutch, Grip, Lost};
-use super::demonstration::Wish;
+use super::clutch::{Clutch, Grip, ReleaseCause};
+use super::demonstration::EpisodeCommand;
 use super::latency::{Counts, Transit};
 use super::message::Hand;
 use super::status::Recording;
@@ -41,7 +41,7 @@ pub(super) struct Held {
     pub(super) hands: [ArmHand; ARMS_MAX],
     pub(super) engagements: u64,
     pub(super) commanded: Option<MailboxReader<Commanded>>,
-    pub(super) wish: Option<Wish>,
+    pub(super) wish: Option<EpisodeCommand>,
     pub(super) recording: Option<Recording>,
     /// What the demonstration under way is called.
     pub(super) label: String,
@@ -61,7 +61,7 @@ pub(super) struct ArmHand {
 impl Default for ArmHand {
     fn default() -> Self {
         Self {
-            clutch: Clutch::Lost(Lost::NotYet),
+            clutch: Clutch::Released(ReleaseCause::NotYet),
             hand: None,
             misaligned_deg: None,
         }
@@ -69,19 +69,19 @@ impl Default for ArmHand {
 }
 
 impl Held {
-    pub(super) fn lose(&mut self, why: Lost) {
+    pub(super) fn lose(&mut self, why: ReleaseCause) {
         for arm in 0..ARMS_MAX {
             self.lose_one(arm, why);
         }
     }
 
-    pub(super) fn lose_one(&mut self, arm: usize, why: Lost) {
+    pub(super) fn lose_one(&mut self, arm: usize, why: ReleaseCause) {
         if let Some(hand) = self.hands.get_mut(arm) {
             let engaged = hand.clutch.is_engaged();
             hand.clutch = hand.clutch.lost(why);
             hand.misaligned_deg = None;
             // An episode that ends, or who hands back, takes nothing from anybody.
-            let forced = !matches!(why, Lost::NoEpisode | Lost::HandedBack);
+            let forced = !matches!(why, ReleaseCause::NoEpisode | ReleaseCause::HandedBack);
             self.counts.losses += u64::from(engaged && forced);
         }
     }
@@ -92,7 +92,7 @@ impl Held {
             .received
             .is_some_and(|(at, _)| now.since(at) <= STALE_NS);
         if !fresh {
-            self.lose(Lost::Stale);
+            self.lose(ReleaseCause::Stale);
         }
     }
 
@@ -103,11 +103,11 @@ impl Held {
                 continue;
             };
             let Some(new) = new else {
-                self.lose_one(index, Lost::NoDevice);
+                self.lose_one(index, ReleaseCause::NoDevice);
                 continue;
             };
             if arm.clutch.is_engaged() && arm.hand.is_some_and(|old| jumped(&old.pose, &new.pose)) {
-                self.lose_one(index, Lost::Jump);
+                self.lose_one(index, ReleaseCause::Jump);
                 arm.clutch = self.hands[index].clutch;
             }
             let before = self.engagements;
@@ -119,7 +119,7 @@ impl Held {
             self.hands[index] = arm;
         }
         if self.waits {
-            self.lose(Lost::NoEpisode);
+            self.lose(ReleaseCause::NoEpisode);
         }
     }
 }
@@ -156,7 +156,7 @@ impl Held {
     /// The policy drives, until a hand takes its clutch anew.
     pub(super) fn give_back(&mut self) {
         self.driver = Some(Driver::Policy);
-        self.lose(Lost::HandedBack);
+        self.lose(ReleaseCause::HandedBack);
     }
 
     pub(super) fn scale(&self) -> f64 {

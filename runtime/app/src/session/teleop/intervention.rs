@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use hal::{Chunk, PerArm, SeenArm, TICK_S, TipTarget};
+use hal::{ArmObservation, Chunk, PerArm, TICK_S, TipTarget};
 use rtrb::Producer;
 
 use super::{CHUNK_TICKS, Driver, Hands, TIME_FACTOR, Teleop};
@@ -12,9 +12,9 @@ use crate::session::{SessionError, Setup};
 #[expect(clippy::cast_precision_loss, reason = "a handful of ticks")]
 const ANSWER_S: f64 = CHUNK_TICKS as f64 * TICK_S;
 
-/// What the control thread hears of the hands. Plain data.
+/// What the control thread gets of teleoperation. Plain data.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct FromHands {
+pub(crate) struct TeleopCommand {
     /// Who drives.
     pub(crate) driver: Driver,
     /// What the hands want; of no account while the policy drives.
@@ -27,7 +27,7 @@ pub(crate) struct FromHands {
 pub(crate) struct Intervention {
     teleop: Teleop,
     hands: Arc<Hands>,
-    to: Producer<FromHands>,
+    to: Producer<TeleopCommand>,
     /// Who drives, as the control thread was last sent.
     said: Driver,
     /// Whether the control thread has heard who drives since the episode's start: before it, the hands hold the arms, which is nobody's
@@ -44,7 +44,7 @@ impl Intervention {
         setup: &Setup,
         hands: &Arc<Hands>,
         waits: bool,
-        to: Producer<FromHands>,
+        to: Producer<TeleopCommand>,
     ) -> Self {
         let teleop = Teleop::new(setup, Arc::clone(hands), waits);
         hands.beside_policy();
@@ -64,7 +64,7 @@ impl Intervention {
     ///
     /// # Errors
     /// Those of [`Teleop::answer`].
-    pub(crate) fn answer(&mut self, seen: &PerArm<SeenArm>) -> Result<f64, SessionError> {
+    pub(crate) fn answer(&mut self, seen: &PerArm<ArmObservation>) -> Result<f64, SessionError> {
         let chunks = self.teleop.answer(seen)?;
         let begun = !self.hands.waits();
         let moves = self.teleop.moves();
@@ -79,7 +79,7 @@ impl Intervention {
         let changed = driver != self.said;
         // A full queue means that the control thread is late: it hears it the next time.
         let sent = (changed || driver == Driver::Operator)
-            && self.to.push(FromHands { driver, chunks }).is_ok();
+            && self.to.push(TeleopCommand { driver, chunks }).is_ok();
         if changed && sent {
             self.said = driver;
             self.notices.push(match driver {

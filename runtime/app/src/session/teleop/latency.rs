@@ -70,7 +70,7 @@ pub struct TeleopSummary {
     /// From a picture's instant to its showing on the page that steers: what the page says of every fifth picture after the browser's
     /// next frame began, less half the shortest round trip. Absent if none was shown.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub camera_to_page_ms: Option<PictureMs>,
+    pub camera_to_page_ms: Option<FrameAgeMs>,
     /// The shortest way to the page and back, ms, if it was measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub round_trip_ms: Option<f64>,
@@ -91,7 +91,7 @@ pub struct TeleopSummary {
 
 /// Ages of pictures, ms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct PictureMs {
+pub struct FrameAgeMs {
     /// Median.
     pub p50: f64,
     /// 95th percentile.
@@ -117,10 +117,10 @@ impl Counts {
     }
 
     /// How old pictures were when they were shown.
-    pub(super) fn camera_to_page_ms(&self) -> Option<PictureMs> {
+    pub(super) fn camera_to_page_ms(&self) -> Option<FrameAgeMs> {
         let back = self.round_trip_ms().unwrap_or(0.0) / 2.0;
         let percentile = |share| (milliseconds(self.picture.percentile(share)) - back).max(0.0);
-        (self.picture.count() > 0).then(|| PictureMs {
+        (self.picture.count() > 0).then(|| FrameAgeMs {
             p50: percentile(0.50),
             p95: percentile(0.95),
             p99: percentile(0.99),

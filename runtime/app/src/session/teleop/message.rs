@@ -52,7 +52,7 @@ pub(super) struct Hand {
 
 /// Why a message of hands is none. The arms hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum BadHands {
+pub(crate) enum HandsMessageError {
     /// The run has another policy.
     #[error("this run is not moved by hand: its policy is another")]
     NoTeleop,
@@ -94,13 +94,13 @@ impl HandsMessage {
     /// The hands for `arms` arms.
     ///
     /// # Errors
-    /// [`BadHands`], whatever of it is wrong.
-    pub(super) fn hands(&self, arms: usize) -> Result<[Option<Hand>; ARMS_MAX], BadHands> {
+    /// [`HandsMessageError`], whatever of it is wrong.
+    pub(super) fn hands(&self, arms: usize) -> Result<[Option<Hand>; ARMS_MAX], HandsMessageError> {
         if self.arms.len() > arms {
-            return Err(BadHands::Arms(self.arms.len()));
+            return Err(HandsMessageError::Arms(self.arms.len()));
         }
         if !self.t.is_finite() {
-            return Err(BadHands::Time);
+            return Err(HandsMessageError::Time);
         }
         let mut hands = [None; ARMS_MAX];
         for (hand, message) in hands.iter_mut().zip(&self.arms) {
@@ -111,7 +111,7 @@ impl HandsMessage {
 }
 
 impl HandMessage {
-    fn hand(&self) -> Result<Hand, BadHands> {
+    fn hand(&self) -> Result<Hand, HandsMessageError> {
         let [x, y, z, w] = self.turn;
         let turn = Quaternion::new(w, x, y, z);
         let at = Vector3::from(self.at);
@@ -119,7 +119,7 @@ impl HandMessage {
             && (turn.norm() - 1.0).abs() <= UNIT_TOLERANCE
             && (0.0..=1.0).contains(&self.jaw);
         if !sound {
-            return Err(BadHands::Numbers);
+            return Err(HandsMessageError::Numbers);
         }
         Ok(Hand {
             clutch: self.clutch,
@@ -137,7 +137,7 @@ impl HandMessage {
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Option<Result<[Option<Hand>; ARMS_MAX], BadHands>> {
+    fn read(text: &str) -> Option<Result<[Option<Hand>; ARMS_MAX], HandsMessageError>> {
         let message: HandsMessage = serde_json::from_str(text).ok()?;
         Some(message.hands(1))
     }
@@ -161,10 +161,10 @@ mod tests {
             (":0.5", ":-0.01"),
         ] {
             let refused = read(&good.replacen(from, to, 1)).unwrap();
-            assert_eq!(refused, Err(BadHands::Numbers), "{from} {to}");
+            assert_eq!(refused, Err(HandsMessageError::Numbers), "{from} {to}");
         }
         let two = good.replace("}]", "},null]");
-        assert_eq!(read(&two), Some(Err(BadHands::Arms(2))));
+        assert_eq!(read(&two), Some(Err(HandsMessageError::Arms(2))));
         for text in [
             good.replace("0.1", "null"),
             good.replace("0.1", "1e999"),

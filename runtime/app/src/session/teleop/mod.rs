@@ -9,7 +9,7 @@
 //! A hand moves its arm only while it holds the clutch. At each clutch-in, position and orientation start from what the arm is commanded
 //! to be at, so nothing jumps; a controller engages once it is held as its
 //! instrument points (`alignment`). Hands that are not heard of for [`STALE_NS`], a page that goes, is hidden or loses the right to steer, and
-//! anything that makes no sense release the clutch by force (`Lost`): then the arm holds until the operator has let the clutch go and
+//! anything that makes no sense release the clutch by force (`ReleaseCause`): then the arm holds until the operator has let the clutch go and
 //! takes it again.
 //!
 //! **Intervention.** Beside a policy the hands drive nothing until one of them takes its clutch: then they drive all arms, from where
@@ -41,14 +41,14 @@ use trocar_control::{OperatingState, OperatorEvent};
 use trocar_log::TickRecord;
 
 pub use alignment::{ALIGNS_DEG, DEFAULT_ALIGN_DEG};
-pub(crate) use clutch::Lost;
+pub(crate) use clutch::ReleaseCause;
 pub(crate) use demonstration::Demonstrating;
-pub use demonstration::{Demonstration, Moment, Wish};
+pub use demonstration::{Demonstration, DemonstrationStep, EpisodeCommand};
 pub(crate) use desk::attend;
 pub(crate) use hands::Hands;
-pub(crate) use intervention::{FromHands, Intervention};
-pub use latency::{InterventionSummary, PictureMs, TeleopSummary};
-pub(crate) use message::{BadHands, HandsMessage};
+pub(crate) use intervention::{Intervention, TeleopCommand};
+pub use latency::{FrameAgeMs, InterventionSummary, TeleopSummary};
+pub(crate) use message::{HandsMessage, HandsMessageError};
 pub use operator::{DELAYS_MS, OperatorFigures, SimulatedOperator, TREMORS_MM};
 pub use source::Teleop;
 pub(crate) use status::{Phase, Recording, TeleopStatus};

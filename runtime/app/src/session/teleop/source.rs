@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use hal::{ARM_NAMES, ARMS_MAX, Chunk, PerArm, Pose, SeenArm, TimeNs, TipTarget};
+use hal::{ARM_NAMES, ARMS_MAX, ArmObservation, Chunk, PerArm, Pose, TimeNs, TipTarget};
 use nalgebra::{Translation3, UnitQuaternion};
 use trocar_control::kinematics::forward;
 
-use super::clutch::Lost;
+use super::clutch::ReleaseCause;
 use super::hands::{Hands, Look, Moving};
 use super::view::rcm_from_view;
 use super::{ArmCommanded, Commanded, Driver};
@@ -123,14 +123,17 @@ impl Teleop {
     ///
     /// # Errors
     /// [`SessionError::BadArgument`] if there are other arms than the task has.
-    pub(crate) fn answer(&mut self, seen: &PerArm<SeenArm>) -> Result<PerArm<Chunk>, SessionError> {
+    pub(crate) fn answer(
+        &mut self,
+        seen: &PerArm<ArmObservation>,
+    ) -> Result<PerArm<Chunk>, SessionError> {
         let look = self.hands.look();
         self.answer_at(seen, &look)
     }
 
     pub(super) fn answer_at(
         &mut self,
-        seen: &PerArm<SeenArm>,
+        seen: &PerArm<ArmObservation>,
         look: &Look,
     ) -> Result<PerArm<Chunk>, SessionError> {
         let now = seen.first.state.stamp;
@@ -145,7 +148,7 @@ impl Teleop {
             let commanded = commanded.copied().unwrap_or_else(|| at_rest(seen));
             let moving = look.moving.get(index).copied().flatten();
             if moving.is_some() && !commanded.follows {
-                self.hands.release_arm(index, Lost::NotEnabled);
+                self.hands.release_arm(index, ReleaseCause::NotEnabled);
             }
             let moving = moving.filter(|_| commanded.follows);
             let lost = look.lost.get(index).copied().flatten();
@@ -171,7 +174,7 @@ impl Teleop {
 }
 
 /// What an arm is commanded before anything is known of its commands: to be where it is.
-fn at_rest(seen: &SeenArm) -> ArmCommanded {
+fn at_rest(seen: &ArmObservation) -> ArmCommanded {
     ArmCommanded {
         position: seen.state.position,
         velocity: hal::JointVector::zeros(),
@@ -207,7 +210,7 @@ impl Measured {
 
 impl HandledArm {
     /// What the log says of a change, if there is one.
-    fn event(&self, moves: bool, lost: Option<Lost>) -> Option<String> {
+    fn event(&self, moves: bool, lost: Option<ReleaseCause>) -> Option<String> {
         match (self.engaged.is_some(), moves, lost) {
             (false, true, _) => Some("the operator's hand engaged".to_owned()),
             (true, false, None) => Some("the operator released the clutch".to_owned()),

@@ -4,7 +4,7 @@ use hal::Pose;
 use serde::Serialize;
 
 use super::Driver;
-use super::latency::PictureMs;
+use super::latency::FrameAgeMs;
 
 /// What there is to show.
 #[derive(Clone, Debug, Serialize)]
@@ -21,7 +21,7 @@ pub(crate) struct TeleopStatus {
     /// What the demonstration under way is called.
     pub(super) label: String,
     /// How old pictures are when the page that steers shows them.
-    pub(super) camera_to_page_ms: Option<PictureMs>,
+    pub(super) camera_to_page_ms: Option<FrameAgeMs>,
 }
 
 /// One arm.

@@ -4,13 +4,13 @@ mod alignment;
 
 use std::sync::Arc;
 
-use hal::{ArmState, JointVector, PerArm, SeenArm, TICK_NS, TimeNs, TipTarget};
+use hal::{ArmObservation, ArmState, JointVector, PerArm, TICK_NS, TimeNs, TipTarget};
 use nalgebra::{UnitQuaternion, Vector3};
 use rtrb::RingBuffer;
 use serde_json::json;
 use trocar_control::kinematics::forward;
 
-use super::message::BadHands;
+use super::message::HandsMessageError;
 use super::view::rcm_from_view;
 use super::*;
 use crate::mailbox::{MailboxWriter, mailbox};
@@ -53,6 +53,11 @@ const REST: At = At {
 };
 
 impl Bench {
+    /// Whoever steers lets go, for this reason.
+    fn release(&mut self, cause: ReleaseCause) {
+        self.hands.release(1, cause);
+    }
+
     fn new(waits: bool) -> Self {
         let setup = Setup::load("needle-lift", None, &PolicyChoice::Teleop).unwrap();
         let hands = Arc::new(Hands::new());
@@ -82,7 +87,7 @@ impl Bench {
         serde_json::from_value(told).unwrap()
     }
 
-    fn say_from(&self, seat: u64, hand: At) -> Result<(), BadHands> {
+    fn say_from(&self, seat: u64, hand: At) -> Result<(), HandsMessageError> {
         self.hands.hear_at(seat, &self.message(hand), self.now)
     }
 
@@ -109,7 +114,7 @@ impl Bench {
         });
     }
 
-    fn seen(&self) -> PerArm<SeenArm> {
+    fn seen(&self) -> PerArm<ArmObservation> {
         PerArm::one(seen_arm(&ArmState::at_rest(
             self.now,
             self.joints,
@@ -250,8 +255,8 @@ fn whatever_is_lost_holds_until_a_new_clutch() {
             bench.now = bench.now.plus_ns(STALE_NS + 10 * MS);
             bench.hands.hear_at(1, &old, bench.now).unwrap();
         }),
-        ("gone", |bench| bench.hands.release(1, Lost::PageGone)),
-        ("hidden", |bench| bench.hands.release(1, Lost::Hidden)),
+        ("gone", |bench| bench.release(ReleaseCause::PageGone)),
+        ("hidden", |bench| bench.release(ReleaseCause::Hidden)),
         ("another page", |bench| {
             bench.say_from(2, HELD).unwrap();
         }),
@@ -263,12 +268,15 @@ fn whatever_is_lost_holds_until_a_new_clutch() {
         ("nonsense", |bench| {
             let mut bad = HELD;
             bad.jaw = 2.0;
-            assert_eq!(bench.say_from(1, bad), Err(BadHands::Numbers));
+            assert_eq!(bench.say_from(1, bad), Err(HandsMessageError::Numbers));
         }),
         ("back in time", |bench| {
             let mut old = bench.message(HELD);
             old.t -= 50.0;
-            assert_eq!(bench.hands.hear_at(1, &old, bench.now), Err(BadHands::Time));
+            assert_eq!(
+                bench.hands.hear_at(1, &old, bench.now),
+                Err(HandsMessageError::Time)
+            );
         }),
         ("disabled", |bench| {
             bench.follows = false;
@@ -310,8 +318,8 @@ fn whatever_is_lost_holds_until_a_new_clutch() {
 fn a_clutch_that_was_taken_out_of_sight_moves_nothing() {
     let losses: [fn(&mut Bench); 4] = [
         |bench| bench.now = bench.now.plus_ns(STALE_NS + 1),
-        |bench| bench.hands.release(1, Lost::PageGone),
-        |bench| bench.hands.release(1, Lost::Hidden),
+        |bench| bench.hands.release(1, ReleaseCause::PageGone),
+        |bench| bench.hands.release(1, ReleaseCause::Hidden),
         |bench| bench.say_from(2, HELD).unwrap(),
     ];
     for (index, lose) in losses.into_iter().enumerate() {
@@ -440,7 +448,7 @@ fn scale_is_bounded_and_changes_without_a_jump() {
     for scale in [0.05, 1.01, f64::NAN, f64::INFINITY, -1.0] {
         assert_eq!(
             bench.hands.set_scale(scale),
-            Err(BadHands::Scale),
+            Err(HandsMessageError::Scale),
             "{scale}"
         );
     }
@@ -513,7 +521,10 @@ fn who_drives_is_whom_the_control_thread_follows_since_the_start() {
 #[test]
 fn wishes_apply_where_they_make_sense() {
     let hands = Hands::new();
-    assert_eq!(hands.wish(Wish::Start), Err(BadHands::NoRecording));
+    assert_eq!(
+        hands.wish(EpisodeCommand::Start),
+        Err(HandsMessageError::NoRecording)
+    );
     let told = |phase| Recording {
         phase,
         kept: 0,
@@ -521,15 +532,27 @@ fn wishes_apply_where_they_make_sense() {
         seed: 3,
     };
     for (phase, allowed) in [
-        (Phase::Waiting, &[Wish::Start][..]),
-        (Phase::Running, &[Wish::Keep, Wish::Redo, Wish::Discard]),
+        (Phase::Waiting, &[EpisodeCommand::Start][..]),
+        (
+            Phase::Running,
+            &[
+                EpisodeCommand::Keep,
+                EpisodeCommand::Redo,
+                EpisodeCommand::Discard,
+            ],
+        ),
         (Phase::Writing, &[]),
     ] {
         hands.tell_recording(told(phase));
-        for wish in [Wish::Start, Wish::Keep, Wish::Redo, Wish::Discard] {
+        for wish in [
+            EpisodeCommand::Start,
+            EpisodeCommand::Keep,
+            EpisodeCommand::Redo,
+            EpisodeCommand::Discard,
+        ] {
             let applies = allowed.contains(&wish);
             assert_eq!(hands.wish(wish).is_ok(), applies, "{phase:?} {wish:?}");
-            assert_eq!(hands.take_wish(), applies.then_some(wish));
+            assert_eq!(hands.take_episode_command(), applies.then_some(wish));
         }
     }
 }
@@ -540,7 +563,7 @@ fn hands_of_a_run_with_another_policy_are_refused() {
     let bench = Bench::new(false);
     let hands = Hands::new();
     let message = bench.message(HELD);
-    assert_eq!(hands.hear(1, &message), Err(BadHands::NoTeleop));
+    assert_eq!(hands.hear(1, &message), Err(HandsMessageError::NoTeleop));
     assert!(hands.status().is_none());
 }
 

@@ -6,7 +6,7 @@ use trocar_tasks::disturbance::Disturber;
 use trocar_tasks::task::{Outcome, Variation};
 
 use super::*;
-use crate::session::episode::Nobody;
+use crate::session::episode::NoObserver;
 use crate::session::record_notes::DISTURBED_TIME_FACTOR;
 use crate::session::scene_options::SceneOptions;
 
@@ -148,7 +148,7 @@ fn successes(task: &str, seeds: std::ops::Range<u64>) -> usize {
             source: &mut source,
         };
         let end = episode
-            .run_disturbed(&timing, &mut Nobody, Some(&mut disturber))
+            .run_disturbed(&timing, &mut NoObserver, Some(&mut disturber))
             .unwrap();
         assert_eq!(end.tally.faults(), None, "{task}, seed {seed}");
         if end.outcome == Outcome::Success {

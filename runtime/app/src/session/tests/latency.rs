@@ -16,7 +16,7 @@ fn late(latency: Latency) -> EpisodeEnd {
         tick_limit: 1500,
     };
     episode
-        .run(&timing, &mut super::super::episode::Nobody)
+        .run(&timing, &mut super::super::episode::NoObserver)
         .unwrap()
 }
 

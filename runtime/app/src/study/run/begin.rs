@@ -7,7 +7,7 @@ use super::super::child::Running;
 use super::super::commands::{Arguments, Begin};
 use super::super::estimate::Class;
 use super::super::job::{Job, Kind};
-use super::super::schedule::{Busy, Grant, Need};
+use super::super::schedule::{Allocation, ResourceRequest, Unavailable};
 use super::super::store::{Attempts, State};
 use super::super::work::{Start, Took, texts};
 use super::{Begun, ELSEWHERE_NS, Runner, Status, Work};
@@ -27,11 +27,11 @@ impl Runner<'_> {
         if self.settled(index) {
             return Ok(Begun::Settled);
         }
-        let need = Need::of(&cell.job, self.workshop.file, self.machine.cores);
+        let need = ResourceRequest::of(&cell.job, self.workshop.file, self.machine.cores);
         let grant = match self.pool.take(need) {
             Ok(grant) => grant,
-            Err(Busy::Cores) => return Ok(Begun::NoCores),
-            Err(Busy::Gpu) => return Ok(Begun::NoGpu),
+            Err(Unavailable::Cores) => return Ok(Begun::NoCores),
+            Err(Unavailable::Gpu) => return Ok(Begun::NoGpu),
         };
         let begun = self.begin_with(index, &grant)?;
         if begun != Begun::Running {
@@ -66,7 +66,7 @@ impl Runner<'_> {
         }
     }
 
-    fn begin_with(&mut self, index: usize, grant: &Grant) -> Result<Begun, StudyError> {
+    fn begin_with(&mut self, index: usize, grant: &Allocation) -> Result<Begun, StudyError> {
         let cell = self.cells[index];
         let (kind, address) = (cell.job.kind(), &cell.address);
         let store = self.workshop.store;
@@ -126,7 +126,7 @@ impl Runner<'_> {
         (arguments, begin): (Arguments, Begin),
         before: Attempts,
         Held { lock, input }: Held,
-        grant: &Grant,
+        grant: &Allocation,
     ) -> Begun {
         let cell = self.cells[index];
         let gpu = self.pool.gpu_name(grant);

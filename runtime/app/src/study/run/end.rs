@@ -11,7 +11,7 @@ use super::super::commands::Begin;
 use super::super::estimate::{Class, in_words};
 use super::super::job::{Job, Kind};
 use super::super::plan::Cell;
-use super::super::schedule::Grant;
+use super::super::schedule::Allocation;
 use super::super::store::Attempts;
 use super::super::work::Took;
 use super::{Runner, Status, Work};
@@ -81,7 +81,7 @@ impl Runner<'_> {
     }
 
     /// What the GPU of `grant` is called.
-    fn gpu_of(&self, grant: &Grant) -> Option<String> {
+    fn gpu_of(&self, grant: &Allocation) -> Option<String> {
         let gpu = self.pool.gpu_name(grant)?;
         let name = self.gpu_names.get(gpu).cloned();
         Some(name.unwrap_or_else(|| gpu.to_owned()))

@@ -3,7 +3,7 @@
 use hal::TimeNs;
 
 use super::super::estimate::{Class, Left, in_words, time_left};
-use super::super::schedule::{Need, at_a_time};
+use super::super::schedule::{ResourceRequest, at_a_time};
 use super::{Runner, Status};
 
 impl Runner<'_> {
@@ -37,7 +37,7 @@ impl Runner<'_> {
             let Some(ran) = self.ran_s(index) else {
                 continue;
             };
-            let need = Need::of(&cell.job, self.workshop.file, self.machine.cores);
+            let need = ResourceRequest::of(&cell.job, self.workshop.file, self.machine.cores);
             #[expect(clippy::cast_precision_loss, reason = "a few hundred at most")]
             let at_a_time = at_a_time(need, self.machine) as f64;
             left.push(Left {

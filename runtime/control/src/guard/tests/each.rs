@@ -8,7 +8,7 @@ use crate::config::BetweenArms;
 use crate::guard::clearance::FACES;
 use crate::guard::gaps::KINDS;
 use crate::guard::planted::{Check, PlantedGuardFault};
-use crate::instrument::{LINKS, Stance};
+use crate::instrument::{KinematicState, LINKS};
 use crate::region::{Block, Shape};
 use hal::Pose;
 use hal::psm::SHAFT_RADIUS_M;
@@ -155,7 +155,7 @@ fn beside(slot: usize, link: usize, random: &mut SplitMix64) -> (ControlConfig, 
     let plain = config_with(&[]);
     for _ in 0..SEARCH {
         let state = random_pose(&plain, random);
-        let (from_m, to_m) = Stance::new(&state).instrument.links()[link];
+        let (from_m, to_m) = KinematicState::new(&state).instrument.links()[link];
         let along = to_m - from_m;
         let turn = Rotation3::new(along.normalize() * random.between(0.0, 6.0));
         let across = turn * along.cross(&Vector3::new(0.3, 0.5, 0.7)).normalize();
@@ -223,7 +223,7 @@ fn facing(kind: usize, random: &mut SplitMix64) -> (ControlConfig, [MotionState;
             random.between(-3.0, 3.0),
         );
         let links = [0, 1].map(|arm| {
-            let instrument = Stance::new(&states[arm]).instrument;
+            let instrument = KinematicState::new(&states[arm]).instrument;
             instrument.moved(&config.arms[arm].scene_from_rcm).links()
         });
         let ((a_from, a_to), (b_from, b_to)) = (links[0][link_a], links[1][link_b]);

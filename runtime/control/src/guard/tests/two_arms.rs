@@ -5,14 +5,14 @@ use crate::config::ControlConfig;
 use crate::distance::distance_between_m;
 use crate::guard::gaps::KINDS;
 use crate::guard::planted::PlantedGuardFault;
-use crate::instrument::{Instrument, Stance};
+use crate::instrument::{Instrument, KinematicState};
 use hal::psm::SHAFT_RADIUS_M;
 
 /// How far apart the remote centres of most tests are, m.
 pub(super) const APART_M: f64 = 0.06;
 
 fn in_scene(config: &ControlConfig, arm: usize, state: &MotionState) -> Instrument {
-    let instrument = Stance::new(state).instrument;
+    let instrument = KinematicState::new(state).instrument;
     instrument.moved(&config.arms[arm].scene_from_rcm)
 }
 

@@ -1,7 +1,7 @@
 //! One adversary an arm, trouble besides, a filter that lies now and then, and a judge who knows nothing of any of them.
 
 use super::figures::Figures;
-use super::judge::Judge;
+use super::judge::Oracle;
 use super::kinds::{Kind, View, below};
 use super::rig::{Rig, Scene};
 use super::trouble::Trouble;
@@ -68,7 +68,7 @@ impl Attack {
         let mut random = SplitMix64::new(self.seed);
         let mut rig = Rig::<ARMS>::enabled(&scene.config);
         self.sabotage(&mut rig, &mut random);
-        let mut judge = Judge::new(&scene);
+        let mut judge = Oracle::new(&scene);
         let mut figures = Figures::default();
         let mut adversaries: [_; ARMS] = core::array::from_fn(|_| self.kind.adversary());
         let mut troubles: [Trouble; ARMS] = core::array::from_fn(|_| Trouble::default());
@@ -131,7 +131,7 @@ impl Attack {
     }
 
     /// Takes into `figures` what is known at the end.
-    fn sum_up<const ARMS: usize>(&self, figures: &mut Figures, rig: &Rig<ARMS>, judge: &Judge) {
+    fn sum_up<const ARMS: usize>(&self, figures: &mut Figures, rig: &Rig<ARMS>, judge: &Oracle) {
         for arm in &rig.controller.arms {
             figures.accepted += arm.gate.accepted_count();
             figures.refused += arm.gate.refused_count();

@@ -10,7 +10,7 @@ use crate::{OperatingState, QpOutcome, TickOutput};
 pub(super) struct Figures {
     pub(super) ticks: u64,
     /// What Clarabel said, where it was asked.
-    pub(super) opinions: super::opinions::Opinions,
+    pub(super) opinions: super::opinions::ReferenceSolutions,
     /// Arm-ticks in which the arm followed.
     pub(super) enabled: u64,
     /// Of these, those in which it stood still.

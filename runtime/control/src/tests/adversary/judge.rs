@@ -7,8 +7,8 @@ use super::rig::Scene;
 use crate::TickOutput;
 use trocar_verify::Stream;
 
-/// Looks at every command, and at some tails.
-pub(in crate::tests) struct Judge {
+/// The test oracle: checks every command, and some tails.
+pub(in crate::tests) struct Oracle {
     stream: Stream,
     tick: u64,
     /// Ticks whose tails were followed to rest.
@@ -30,7 +30,7 @@ pub(in crate::tests) struct Nearest {
     pub(in crate::tests) between_mm: f64,
 }
 
-impl Judge {
+impl Oracle {
     pub(in crate::tests) fn new(scene: &Scene) -> Self {
         let stream = Stream::new(scene.control.text(), scene.safety.text()).unwrap();
         Self {

@@ -4,9 +4,9 @@ use super::attack::Attack;
 use super::kinds::Kind;
 use crate::second_opinion::Comparison;
 
-/// What Clarabel said to a run's problems.
+/// Clarabel's solutions of a run's problems.
 #[derive(Debug, Default)]
-pub(super) struct Opinions {
+pub(super) struct ReferenceSolutions {
     problems: u64,
     /// Of these, those that it solved to 1e-9 only.
     rough: u64,
@@ -16,7 +16,7 @@ pub(super) struct Opinions {
     violation: f64,
 }
 
-impl Opinions {
+impl ReferenceSolutions {
     pub(super) fn add(&mut self, found: Option<Comparison>) {
         self.problems += 1;
         let Some(found) = found else {
@@ -32,7 +32,7 @@ impl Opinions {
 
 /// Every problem that the filter solved in an attack, as it was.
 fn agree<const ARMS: usize>(kinds: &[Kind], seed: u64, ticks: u64, problems: u64) {
-    let mut all = Opinions::default();
+    let mut all = ReferenceSolutions::default();
     for (&kind, seed) in kinds.iter().zip(seed..) {
         let attack = Attack {
             ticks,

@@ -9,7 +9,7 @@ use super::places::{Place, places};
 use crate::Deviation;
 use crate::config::ControlConfig;
 use crate::filter::Filter;
-use crate::instrument::Stance;
+use crate::instrument::KinematicState;
 use crate::motion::{AXES, MotionState};
 use crate::region::Shape;
 use crate::rows::planted::{RowFault, Which};
@@ -64,7 +64,7 @@ impl<'a> Bare<'a> {
                 ..MotionState::ZERO
             })
             .collect();
-        let stances: Vec<Stance> = states.iter().map(Stance::new).collect();
+        let stances: Vec<KinematicState> = states.iter().map(KinematicState::new).collect();
         let inputs: Vec<RowInput<'_>> = states
             .iter()
             .zip(&stances)
@@ -81,7 +81,7 @@ impl<'a> Bare<'a> {
         if let Some(fault) = fault {
             self.rows.plant(fault);
         }
-        let stances: Vec<&Stance> = stances.iter().collect();
+        let stances: Vec<&KinematicState> = stances.iter().collect();
         self.filter.filter(wanted, &self.rows, &stances).velocity
     }
 

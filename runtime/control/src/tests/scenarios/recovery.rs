@@ -8,7 +8,7 @@ use crate::OperatorEvent;
 use crate::config::ControlConfig;
 use crate::motion::{AXES, Axes, JAW};
 use crate::tests::adversary::eyes::Boundary;
-use crate::tests::adversary::judge::Judge;
+use crate::tests::adversary::judge::Oracle;
 use crate::tests::adversary::rig::{Rig, Scene, axes_of, home, resting};
 use trocar_verify::tip_in_rcm;
 
@@ -82,7 +82,7 @@ fn from_a_bad_start_it_only_gets_better() {
         for outward in [true, false] {
             let mut rig = Rig::<1>::new(config);
             rig.arms = [beyond(config, &start, boundary)];
-            let mut judge = Judge::new(&scene);
+            let mut judge = Oracle::new(&scene);
             let positions = rig.positions();
             let at_start = boundary.clearance(config, &positions);
             assert!(at_start < 0.0, "{name} is none: {at_start}");
@@ -163,7 +163,7 @@ fn limits_lowered_while_moving_are_kept_without_an_excursion() {
     let config = &scene.config;
     for percent in [60_u8, 20, 5, 0] {
         let mut rig = Rig::<1>::enabled(config);
-        let mut judge = Judge::new(&scene);
+        let mut judge = Oracle::new(&scene);
         // Back and forth, turning, as fast as it can; the limits fall after 1.15 s, in full motion.
         let path = |_: usize, time_s: f64| {
             let side = if (time_s * 1.25).fract() < 0.5 {

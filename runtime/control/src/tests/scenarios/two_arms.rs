@@ -5,7 +5,7 @@ use nalgebra::{Point3, Vector3};
 use super::{follow, target};
 use crate::QpOutcome;
 use crate::tests::adversary::eyes::Boundary;
-use crate::tests::adversary::judge::Judge;
+use crate::tests::adversary::judge::Oracle;
 use crate::tests::adversary::rig::{Rig, Scene};
 
 /// Shafts and tips, the least gap beyond the one that is kept, m.
@@ -23,7 +23,7 @@ fn two_arms_pushed_through_each_other_stay_apart() {
     let config = &scene.config;
     for height_m in [0.0, 0.01, 0.02] {
         let mut rig = Rig::<2>::enabled(config);
-        let mut judge = Judge::new(&scene);
+        let mut judge = Oracle::new(&scene);
         // Each goes straight through the other one's place to the far side and back, within 3 s.
         let path = |arm: usize, time_s: f64| {
             let side = if arm == 0 { 1.0 } else { -1.0 };
@@ -72,7 +72,7 @@ fn one_arm_pushed_into_a_resting_one_stays_away() {
     let scene = Scene::handover().open_gate();
     let config = &scene.config;
     let mut rig = Rig::<2>::enabled(config);
-    let mut judge = Judge::new(&scene);
+    let mut judge = Oracle::new(&scene);
     let path = |arm: usize, time_s: f64| {
         let in_scene = if arm == 0 {
             Point3::new(-0.012 + 0.04 * (time_s / 2.0).min(1.0), 0.0, 0.04)

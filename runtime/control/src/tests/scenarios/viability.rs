@@ -2,7 +2,7 @@
 
 use super::super::adversary::kinds::below;
 use crate::Deviation;
-use crate::instrument::Stance;
+use crate::instrument::KinematicState;
 use crate::motion::{AXES, AxisLimits, MotionState};
 use crate::rows::{RowInput, Rows};
 use crate::smoother::Smoother;
@@ -116,7 +116,7 @@ fn extreme_velocities(seed: u64, ticks: u64) -> [Excess; AXES] {
     for _ in 0..ticks {
         let input = RowInput {
             state: &state,
-            stance: &Stance::new(&state),
+            stance: &KinematicState::new(&state),
             moves: true,
             jaw_effort_n_m: 0.0,
             pace: 1.0,

@@ -13,7 +13,9 @@ use serde::Deserialize;
 use trocar_render::visual::{Backdrop, Material, Part, Pattern, Visual, instance};
 use trocar_world::block::BlockShape;
 use trocar_world::rng::Rng;
-use trocar_world::{ArmStart, Ground, Meets, Piece, Scenery, Shape, Thing, WorldConfig};
+use trocar_world::{
+    ArmStart, Collider, CollisionMask, Ground, RigidBody, Scenery, Shape, WorldConfig,
+};
 
 pub use board::BoardShape;
 use script::Mover;
@@ -159,11 +161,11 @@ impl BlockTransfer {
 
 impl TaskScene for BlockTransfer {
     fn scenery(&self, seed: u64) -> Scenery {
-        let pieces = self.block.pieces().map(|ends| Piece {
+        let pieces = self.block.pieces().map(|ends| Collider {
             shape: Shape::Hull(ends.into_iter().flatten().collect()),
-            meets: Meets::Both,
+            meets: CollisionMask::Both,
         });
-        let block = Thing {
+        let block = RigidBody {
             in_scene: self.block_at_start(seed),
             mass_kg: self.block.mass_kg,
             centre: Point3::origin(),

@@ -7,8 +7,8 @@ use serde::Deserialize;
 use trocar_world::block::BlockShape;
 
 use super::{BlockTransfer, BoardShape};
-use crate::task::judge::{Held, Limits, PressLimit, Safeguard};
-use crate::task::{Criteria, Monitor, Outcome, Sight};
+use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard};
+use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
 /// What counts as a moved block, and what ends the episode at once.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -80,7 +80,7 @@ pub(super) struct SuccessMonitor {
     /// Highest speed of its ends in the newest step, m/s.
     speed_m_s: f64,
     cleared: bool,
-    held: Held,
+    held: DwellTimer,
     safeguard: Safeguard,
 }
 
@@ -97,13 +97,13 @@ impl SuccessMonitor {
             before: None,
             speed_m_s: f64::INFINITY,
             cleared: false,
-            held: Held::default(),
+            held: DwellTimer::default(),
             safeguard: Safeguard::new("block", "board", config.limits(), config.press),
             config,
         }
     }
 
-    fn end(&mut self, sight: &Sight) -> Option<Outcome> {
+    fn end(&mut self, sight: &MonitorInput) -> Option<Outcome> {
         let corner = sight.thing_in_scene * self.corner;
         let middle = sight.thing_in_scene.translation;
         let board = &self.board;
@@ -112,7 +112,7 @@ impl SuccessMonitor {
     }
 
     /// Whether the whole block is above the pegs in the grip of both fingers.
-    fn is_clear(&self, sight: &Sight) -> bool {
+    fn is_clear(&self, sight: &MonitorInput) -> bool {
         let ends = self.block.pieces().into_iter().flatten().flatten();
         let lowest = ends
             .map(|point| (sight.thing_in_scene * point).z)
@@ -121,7 +121,7 @@ impl SuccessMonitor {
     }
 
     /// Whether the block sits on the goal peg and no instrument touches it.
-    fn placed(&self, sight: &Sight) -> Criteria {
+    fn placed(&self, sight: &MonitorInput) -> Criteria {
         let (pose, config) = (&sight.thing_in_scene, &self.config);
         let half = 0.5 * self.block.height_m;
         let aside_m = [-half, half].map(|z| {
@@ -161,7 +161,7 @@ impl SuccessMonitor {
 }
 
 impl Monitor for SuccessMonitor {
-    fn observe(&mut self, sight: &Sight) -> Outcome {
+    fn observe(&mut self, sight: &MonitorInput) -> Outcome {
         if let Some(end) = self.end(sight) {
             return end;
         }
@@ -179,7 +179,7 @@ impl Monitor for SuccessMonitor {
         }
     }
 
-    fn criteria(&self, sight: &Sight) -> Criteria {
+    fn criteria(&self, sight: &MonitorInput) -> Criteria {
         let (held_s, hold_s) = (self.held.seconds(), self.config.hold_s);
         self.placed(sight)
             .at_least("for so long", "s", held_s, hold_s)

@@ -6,7 +6,7 @@ use trocar_world::{Grasp, World};
 
 use super::*;
 use crate::simulation::pictures::{Looks, saturation};
-use crate::task::{Judge, Outcome, Reason, Sight, TaskConfig, TaskFiles};
+use crate::task::{Judge, MonitorInput, Outcome, Reason, TaskConfig, TaskFiles};
 
 fn task() -> TaskConfig {
     TaskConfig::shipped(NAME)
@@ -134,7 +134,7 @@ impl Bench {
     fn show(&mut self, block: Pose, grasp: Grasp, above_m: f64, seconds: f64) -> Outcome {
         let mut shown_s = 0.0;
         while shown_s < seconds {
-            self.judge.observe(&Sight {
+            self.judge.observe(&MonitorInput {
                 thing_in_scene: block,
                 grasps: vec![grasp],
                 tips_in_scene: vec![Translation3::new(0.0, 0.0, above_m) * block],

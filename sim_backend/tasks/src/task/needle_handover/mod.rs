@@ -12,7 +12,7 @@ use serde::Deserialize;
 use trocar_render::visual::{Backdrop, Visual, instance};
 use trocar_world::needle::NeedleShape;
 use trocar_world::organ::{Organ, OrganShape};
-use trocar_world::{ArmStart, Ground, Scenery, Thing, WorldConfig};
+use trocar_world::{ArmStart, Ground, RigidBody, Scenery, WorldConfig};
 
 use script::Passer;
 pub use success::SuccessConfig;
@@ -113,7 +113,7 @@ impl TaskScene for NeedleHandover {
     fn scenery(&self, seed: u64) -> Scenery {
         let in_scene = self.start.draw(seed, &self.needle, &self.organ);
         Scenery {
-            things: vec![Thing::needle(&self.needle, in_scene)],
+            things: vec![RigidBody::needle(&self.needle, in_scene)],
             ground: Ground::Organ(self.organ.clone()),
             flap: None,
         }

@@ -8,8 +8,8 @@ use trocar_world::needle::NeedleShape;
 use trocar_world::organ::Organ;
 
 use super::NeedleHandover;
-use crate::task::judge::{Held, Limits, PressLimit, Safeguard, is_off, seconds};
-use crate::task::{Criteria, Monitor, Outcome, Sight};
+use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard, is_off, seconds};
+use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
 /// How long the needle may be between no arm's fingers before it counts as dropped, s: contacts flicker.
 const LOOSE_S: f64 = 0.02;
@@ -82,7 +82,7 @@ pub(super) struct SuccessMonitor {
     given: bool,
     /// For how long no arm has had it between its fingers.
     loose_steps: u64,
-    held: Held,
+    held: DwellTimer,
     safeguard: Safeguard,
 }
 
@@ -97,13 +97,13 @@ impl SuccessMonitor {
             given_steps: 0,
             given: false,
             loose_steps: 0,
-            held: Held::default(),
+            held: DwellTimer::default(),
             safeguard: Safeguard::new("needle", "organ", config.limits(), config.press),
             config,
         }
     }
 
-    fn end(&mut self, sight: &Sight) -> Option<Outcome> {
+    fn end(&mut self, sight: &MonitorInput) -> Option<Outcome> {
         let middle = sight.thing_in_scene * self.wire[WIRE_POINTS / 2];
         let (organ, sink_m) = (&self.organ, self.config.sink_m_max);
         let fallen = || is_off(organ, &middle, sink_m);
@@ -112,7 +112,7 @@ impl SuccessMonitor {
 
     /// `all`, and whether one arm alone holds the needle, clear of the organ: the first, or once it is `given` the second, the first
     /// being away.
-    fn holding(&self, all: Criteria, sight: &Sight, given: bool) -> Criteria {
+    fn holding(&self, all: Criteria, sight: &MonitorInput, given: bool) -> Criteria {
         let (config, needle) = (&self.config, &sight.thing_in_scene);
         let (first, second) = (&sight.grasps[0], &sight.grasps[1]);
         let (holder, other, fingers) = if given {
@@ -157,7 +157,7 @@ impl SuccessMonitor {
 }
 
 impl Monitor for SuccessMonitor {
-    fn observe(&mut self, sight: &Sight) -> Outcome {
+    fn observe(&mut self, sight: &MonitorInput) -> Outcome {
         if let Some(end) = self.end(sight) {
             return end;
         }
@@ -184,7 +184,7 @@ impl Monitor for SuccessMonitor {
         }
     }
 
-    fn criteria(&self, sight: &Sight) -> Criteria {
+    fn criteria(&self, sight: &MonitorInput) -> Criteria {
         let (config, given) = (&self.config, self.given);
         let all = Criteria::default().so("lifted by the first arm", given);
         let (held_s, hold_s) = if given {

@@ -5,7 +5,7 @@ use trocar_world::{Grasp, World};
 
 use super::*;
 use crate::simulation::pictures::Looks;
-use crate::task::{Judge, Outcome, Reason, Sight, TaskConfig};
+use crate::task::{Judge, MonitorInput, Outcome, Reason, TaskConfig};
 
 const NO_GRASP: Grasp = Grasp {
     left_force_n: 0.0,
@@ -42,7 +42,7 @@ impl Bench {
         let giver = Pose::translation(point.x, point.y + away_m, point.z);
         let mut shown_s = 0.0;
         while shown_s < seconds {
-            self.judge.observe(&Sight {
+            self.judge.observe(&MonitorInput {
                 thing_in_scene: needle,
                 grasps: grasps.to_vec(),
                 tips_in_scene: vec![giver, Pose::identity()],

@@ -7,8 +7,8 @@ use serde::Deserialize;
 use trocar_world::needle::NeedleShape;
 use trocar_world::organ::Organ;
 
-use crate::task::judge::{Held, Limits, PressLimit, Safeguard, is_off};
-use crate::task::{Criteria, Monitor, Outcome, Sight};
+use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard, is_off};
+use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
 /// What counts as a lifted needle, and what ends the episode at once.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -73,7 +73,7 @@ pub(super) struct SuccessMonitor {
     wire: Vec<Point3<f64>>,
     wire_radius_m: f64,
     organ: Organ,
-    held: Held,
+    held: DwellTimer,
     safeguard: Safeguard,
 }
 
@@ -86,13 +86,13 @@ impl SuccessMonitor {
             wire: needle.centre_line(WIRE_POINTS),
             wire_radius_m: needle.wire_radius_m,
             organ: organ.clone(),
-            held: Held::default(),
+            held: DwellTimer::default(),
             safeguard: Safeguard::new("needle", "organ", config.limits(), config.press),
         }
     }
 
     /// Whether the needle is above the organ, in the grip of both fingers.
-    fn lifted(&self, sight: &Sight) -> Criteria {
+    fn lifted(&self, sight: &MonitorInput) -> Criteria {
         let (config, grasp) = (&self.config, &sight.grasps[0]);
         let middle = sight.thing_in_scene * self.middle;
         let height_m = middle.z - self.organ.height_m(middle.x, middle.y);
@@ -122,7 +122,7 @@ impl SuccessMonitor {
 }
 
 impl Monitor for SuccessMonitor {
-    fn observe(&mut self, sight: &Sight) -> Outcome {
+    fn observe(&mut self, sight: &MonitorInput) -> Outcome {
         let middle = sight.thing_in_scene * self.middle;
         let (organ, sink_m) = (&self.organ, self.config.sink_m_max);
         let fallen = || is_off(organ, &middle, sink_m);
@@ -137,7 +137,7 @@ impl Monitor for SuccessMonitor {
         "needle not lifted"
     }
 
-    fn criteria(&self, sight: &Sight) -> Criteria {
+    fn criteria(&self, sight: &MonitorInput) -> Criteria {
         let (held_s, hold_s) = (self.held.seconds(), self.config.hold_s);
         self.lifted(sight)
             .at_least("for so long", "s", held_s, hold_s)

@@ -46,7 +46,7 @@ pub(super) struct SceneFile {
 
 /// How a patient lies in the scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Lie {
+pub struct PatientPlacement {
     /// The patient's folder.
     pub patient: String,
     /// The organ under the instruments.
@@ -63,7 +63,7 @@ pub struct Lie {
 #[derive(Clone, Debug)]
 pub struct Patient {
     /// How it lies there.
-    pub lie: Lie,
+    pub lie: PatientPlacement,
     /// The organ as physics has it, scene frame.
     pub organ: Organ,
     visuals: Vec<Visual>,
@@ -106,10 +106,10 @@ impl SceneFile {
         organ.chain(around).map(Visual::still).collect()
     }
 
-    fn lie(&self, patch: &Patch) -> Lie {
+    fn lie(&self, patch: &Patch) -> PatientPlacement {
         let scan_from_scene = patch.scene_from_scan.inverse();
         let turn = scan_from_scene.rotation.to_rotation_matrix();
-        Lie {
+        PatientPlacement {
             patient: self.patient.clone(),
             organ: self.organ.clone(),
             patch_in_scan_m: scan_from_scene.translation.vector.into(),

@@ -13,7 +13,7 @@ use serde::Deserialize;
 use trocar_render::visual::{Backdrop, Material, Pattern, Visual, instance};
 use trocar_world::needle::NeedleShape;
 use trocar_world::rng::Rng;
-use trocar_world::{ArmStart, Ground, Scenery, Thing, WorldConfig};
+use trocar_world::{ArmStart, Ground, RigidBody, Scenery, WorldConfig};
 
 pub use pad::PadShape;
 use script::Driver;
@@ -159,7 +159,7 @@ impl TaskScene for SuturePad {
     fn scenery(&self, seed: u64) -> Scenery {
         let in_scene = self.start.draw(seed, &self.needle);
         Scenery {
-            things: vec![Thing::bare_needle(&self.needle, in_scene)],
+            things: vec![RigidBody::bare_needle(&self.needle, in_scene)],
             ground: Ground::Solids(self.pad.solids()),
             flap: None,
         }

@@ -6,8 +6,8 @@ use nalgebra::Point3;
 use serde::Deserialize;
 
 use super::{PadShape, SuturePad};
-use crate::task::judge::{Held, Limits, PressLimit, Safeguard};
-use crate::task::{Criteria, Monitor, Outcome, Sight};
+use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard};
+use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
 /// What counts as a needle through the hole, and what ends the episode at once.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -62,7 +62,7 @@ pub(super) struct SuccessMonitor {
     pad: PadShape,
     /// The wire in the needle frame, its point last.
     wire: Vec<Point3<f64>>,
-    held: Held,
+    held: DwellTimer,
     safeguard: Safeguard,
 }
 
@@ -73,13 +73,13 @@ impl SuccessMonitor {
         Self {
             pad: scene.pad,
             wire: scene.needle.centre_line(WIRE_POINTS),
-            held: Held::default(),
+            held: DwellTimer::default(),
             safeguard: Safeguard::new("needle", "pad", config.limits(), config.press),
             config,
         }
     }
 
-    fn end(&mut self, sight: &Sight) -> Option<Outcome> {
+    fn end(&mut self, sight: &MonitorInput) -> Option<Outcome> {
         let point = sight.thing_in_scene * self.wire[WIRE_POINTS - 1];
         let middle = sight.thing_in_scene * self.wire[WIRE_POINTS / 2];
         let pad = &self.pad;
@@ -114,7 +114,7 @@ impl SuccessMonitor {
 }
 
 impl Monitor for SuccessMonitor {
-    fn observe(&mut self, sight: &Sight) -> Outcome {
+    fn observe(&mut self, sight: &MonitorInput) -> Outcome {
         if let Some(end) = self.end(sight) {
             return end;
         }
@@ -126,7 +126,7 @@ impl Monitor for SuccessMonitor {
         "needle not through the hole"
     }
 
-    fn criteria(&self, sight: &Sight) -> Criteria {
+    fn criteria(&self, sight: &MonitorInput) -> Criteria {
         let (config, needle) = (&self.config, &sight.thing_in_scene);
         let behind_m = (needle * self.wire[WIRE_POINTS - 1]).y - self.pad.lip_back_m();
         Criteria::default()

@@ -5,7 +5,7 @@ use trocar_world::{Grasp, World};
 
 use super::*;
 use crate::simulation::pictures::{Looks, saturation};
-use crate::task::{Judge, Outcome, Reason, Sight, TaskConfig};
+use crate::task::{Judge, MonitorInput, Outcome, Reason, TaskConfig};
 
 /// The needle flat at the height of the hole, its point `angle_rad` past the plane of the lip on the circle through the
 /// hole.
@@ -21,7 +21,7 @@ fn on_circle(scene: &SuturePad, angle_rad: f64) -> Pose {
 fn show(judge: &mut Judge, needle: Pose, sunk_m: f64, seconds: f64) -> Outcome {
     let mut shown_s = 0.0;
     while shown_s < seconds {
-        judge.observe(&Sight {
+        judge.observe(&MonitorInput {
             thing_in_scene: needle,
             grasps: vec![Grasp::default()],
             tips_in_scene: vec![Pose::identity()],

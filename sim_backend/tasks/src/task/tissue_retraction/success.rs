@@ -2,7 +2,7 @@
 
 use trocar_world::tissue::{Retraction, RetractionConfig, RetractionMonitor};
 
-use crate::task::{Criteria, Monitor, Outcome, Reason, Sight};
+use crate::task::{Criteria, Monitor, MonitorInput, Outcome, Reason};
 
 /// Watches the flap.
 pub(super) struct SuccessMonitor {
@@ -21,7 +21,7 @@ impl SuccessMonitor {
 }
 
 impl Monitor for SuccessMonitor {
-    fn observe(&mut self, sight: &Sight) -> Outcome {
+    fn observe(&mut self, sight: &MonitorInput) -> Outcome {
         if let Some(report) = &sight.tissue {
             self.flap.observe(report);
         }
@@ -39,7 +39,7 @@ impl Monitor for SuccessMonitor {
         "flap not held up at its mark"
     }
 
-    fn criteria(&self, sight: &Sight) -> Criteria {
+    fn criteria(&self, sight: &MonitorInput) -> Criteria {
         let Some(report) = &sight.tissue else {
             return Criteria::default();
         };

@@ -8,7 +8,7 @@ use trocar_world::tissue::{Grasp, TissueReport};
 use super::*;
 use crate::closed_loop::{forward, inverse};
 use crate::simulation::pictures::{Looks, saturation};
-use crate::task::{Outcome, Sight, TaskConfig, TaskFiles};
+use crate::task::{MonitorInput, Outcome, TaskConfig, TaskFiles};
 
 fn task() -> TaskConfig {
     TaskConfig::shipped(NAME)
@@ -147,7 +147,7 @@ fn verdicts_of_the_flap_are_those_of_the_task() {
         let mut monitor = scene.monitor(0);
         let mut outcome = Outcome::Running;
         for _ in 0..steps {
-            outcome = monitor.observe(&Sight {
+            outcome = monitor.observe(&MonitorInput {
                 thing_in_scene: Pose::identity(),
                 grasps: Vec::new(),
                 tips_in_scene: Vec::new(),

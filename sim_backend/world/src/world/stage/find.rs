@@ -9,7 +9,7 @@ use crate::world::config::Surface;
 use crate::world::contact::{Contact, Side};
 use crate::world::convert::{engine_pose, our_vector};
 use crate::world::detect::{First, Found};
-use crate::world::scenery::Meets;
+use crate::world::scenery::CollisionMask;
 use crate::world::shapes::WRIST_RADIUS_M;
 use crate::world::soft;
 
@@ -62,7 +62,7 @@ impl Stage {
                 let relative = first.relative(&carrier);
                 detector.clear();
                 for (piece, meets) in &thing.pieces {
-                    if *meets == Meets::Ground {
+                    if *meets == CollisionMask::Ground {
                         continue;
                     }
                     let centre = relative.transform_point(piece.centre);
@@ -75,7 +75,7 @@ impl Stage {
                 let memory = instruments[arm].memories[index].get(part);
                 for found in &detector.found {
                     let mut contact = contact(
-                        [Side::Part { arm, part }, Side::Thing(index)],
+                        [Side::Part { arm, part }, Side::RigidBody(index)],
                         found,
                         &self.grip,
                     );
@@ -97,13 +97,13 @@ impl Stage {
         let pose = thing.moving.pose;
         let carrier = engine_pose(&pose);
         let reach_m = REACH_M + REACH_S * thing.moving.speed_m_s();
-        let sides = [Side::Ground, Side::Thing(index)];
+        let sides = [Side::Ground, Side::RigidBody(index)];
         self.detector.clear();
         for solid in &self.solids {
             let first = First::new(solid, &EnginePose::IDENTITY);
             let relative = first.relative(&carrier);
             for (piece, meets) in &thing.pieces {
-                if *meets != Meets::Instrument {
+                if *meets != CollisionMask::Instrument {
                     self.detector.pair(&first, piece, &relative, reach_m);
                 }
             }
@@ -111,7 +111,7 @@ impl Stage {
         self.detector.reduce();
         if self.solids.is_empty() {
             for (piece, meets) in &thing.pieces {
-                if *meets != Meets::Instrument {
+                if *meets != CollisionMask::Instrument {
                     let centre = our_vector(carrier.transform_point(piece.centre));
                     let met = soft::meet(&self.ground, &centre, piece.radius_m, reach_m);
                     self.detector.found.extend(met);

@@ -42,7 +42,7 @@ impl Stage {
                         }
                         arm = Some((slot, rows));
                     }
-                    Side::Thing(of) => {
+                    Side::RigidBody(of) => {
                         let Some(slot) = awake.iter().position(|&thing| thing == of) else {
                             continue;
                         };

@@ -58,7 +58,7 @@ impl Stage {
             let contact = &self.contacts[row.contact];
             let force_n = row.impulse / TICK_S;
             match contact.sides {
-                [Side::Part { arm, part }, Side::Thing(thing)] => {
+                [Side::Part { arm, part }, Side::RigidBody(thing)] => {
                     let touch = &mut self.instruments[arm].touches[thing][part];
                     touch.add(contact, force_n, row.gap_m);
                 }
@@ -67,7 +67,7 @@ impl Stage {
                     instrument.ground_n += force_n;
                     instrument.ground_m = instrument.ground_m.max(-row.gap_m);
                 }
-                [_, Side::Thing(thing)] => {
+                [_, Side::RigidBody(thing)] => {
                     let thing = &mut self.things[thing];
                     thing.ground_n += force_n;
                     thing.ground_m = thing.ground_m.max(-row.gap_m);
@@ -87,7 +87,7 @@ impl Stage {
         }
         for (index, thing) in self.things.iter_mut().enumerate() {
             let is_near = self.contacts.iter().any(|contact| {
-                matches!(contact.sides, [Side::Part { .. }, Side::Thing(of)] if of == index)
+                matches!(contact.sides, [Side::Part { .. }, Side::RigidBody(of)] if of == index)
             });
             if !thing.moving.is_asleep() {
                 thing.moving.rest(is_near, TICK_S);

@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
-use super::{Bench, Ground, HALF_CIRCLE, Scenery, Thing, World};
+use super::{Bench, Ground, HALF_CIRCLE, RigidBody, Scenery, World};
 use crate::organ::Organ;
 use crate::organ::tests::BACK_MUSCLE;
 use crate::shipped;
@@ -19,9 +19,9 @@ fn config(task: &str) -> WorldConfig {
 /// A needle alone in the world over `ground`, at rest at `in_scene`.
 fn alone(config: &WorldConfig, ground: Ground, in_scene: Pose) -> World {
     let needle = if matches!(ground, Ground::Solids(_)) {
-        Thing::bare_needle(&HALF_CIRCLE, in_scene)
+        RigidBody::bare_needle(&HALF_CIRCLE, in_scene)
     } else {
-        Thing::needle(&HALF_CIRCLE, in_scene)
+        RigidBody::needle(&HALF_CIRCLE, in_scene)
     };
     let scenery = Scenery {
         things: vec![needle],

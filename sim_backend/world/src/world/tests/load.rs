@@ -4,10 +4,12 @@
 use hal::psm::EFFORT_MAX;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
-use super::{ArmStart, BACK_MUSCLE, Bench, HALF_CIRCLE, OPEN, Scenery, Thing, World, insertion};
+use super::{
+    ArmStart, BACK_MUSCLE, Bench, HALF_CIRCLE, OPEN, RigidBody, Scenery, World, insertion,
+};
 use crate::block::BlockShape;
 use crate::shipped;
-use crate::world::{Ground, Meets, Piece, Shape};
+use crate::world::{Collider, CollisionMask, Ground, Shape};
 use hal::{ArmCommand, JointVector, Pose, TimeNs};
 
 /// What hard contacts may give way, m.
@@ -30,12 +32,12 @@ fn plate() -> Shape {
     }
 }
 
-fn block(in_scene: Pose) -> Thing {
-    let pieces = BLOCK.pieces().map(|ends| Piece {
+fn block(in_scene: Pose) -> RigidBody {
+    let pieces = BLOCK.pieces().map(|ends| Collider {
         shape: Shape::Hull(ends.into_iter().flatten().collect()),
-        meets: Meets::Both,
+        meets: CollisionMask::Both,
     });
-    Thing {
+    RigidBody {
         in_scene,
         mass_kg: BLOCK.mass_kg,
         centre: Point3::origin(),
@@ -46,7 +48,7 @@ fn block(in_scene: Pose) -> Thing {
 }
 
 /// Fingers pointing down, open, with their ends at `end_m`, over `thing` on `solids`, with the physics of `task`.
-fn over(task: &str, thing: Thing, solids: Vec<Shape>, end_m: f64) -> Bench {
+fn over(task: &str, thing: RigidBody, solids: Vec<Shape>, end_m: f64) -> Bench {
     let scenery = Scenery {
         things: vec![thing],
         ground: Ground::Solids(solids),
@@ -163,7 +165,7 @@ fn a_block_on_the_board_stands_all_that_the_drives_give() {
 fn a_needle_on_the_pad_stands_all_that_the_drives_give() {
     let radius_m = HALF_CIRCLE.wire_radius_m;
     let rest = Pose::translation(-HALF_CIRCLE.arc_radius_m, 0.0, radius_m);
-    let needle = Thing::bare_needle(&HALF_CIRCLE, rest);
+    let needle = RigidBody::bare_needle(&HALF_CIRCLE, rest);
     let mut bench = over("suture-pad", needle, vec![plate()], 2.0 * radius_m + 0.001);
     bench.jaw(0.0);
     stands_a_press(bench, &rest);
@@ -216,10 +218,10 @@ fn a_needle_sinks_into_the_organ_as_its_stiffness_says() {
 }
 
 /// A bar of 6 by 4 by 14 mm, as heavy as the block.
-fn bar(in_scene: Pose) -> Thing {
+fn bar(in_scene: Pose) -> RigidBody {
     let half = Vector3::new(0.003, 0.002, 0.007);
     let moment = |a: f64, b: f64| BLOCK.mass_kg / 3.0 * (a * a + b * b);
-    Thing {
+    RigidBody {
         in_scene,
         mass_kg: BLOCK.mass_kg,
         centre: Point3::origin(),
@@ -229,12 +231,12 @@ fn bar(in_scene: Pose) -> Thing {
             moment(half.x, half.y),
         ),
         axes: UnitQuaternion::identity(),
-        pieces: vec![Piece {
+        pieces: vec![Collider {
             shape: Shape::Block {
                 low: (-half).into(),
                 high: half.into(),
             },
-            meets: Meets::Both,
+            meets: CollisionMask::Both,
         }],
     }
 }
@@ -344,7 +346,7 @@ fn a_needle_in_the_jaw_gives_way_nowhere_at_the_lip() {
     for (way, low_m) in [(0.15, -front_m - 0.005), (-0.15, front_m)] {
         let lip = wall([[-0.025, low_m, 0.0], [0.025, low_m + 0.005, 0.016]]);
         let rest = Pose::translation(-HALF_CIRCLE.arc_radius_m, 0.0, radius_m);
-        let needle = Thing::bare_needle(&HALF_CIRCLE, rest);
+        let needle = RigidBody::bare_needle(&HALF_CIRCLE, rest);
         let mut bench = over("suture-pad", needle, vec![plate(), lip], 0.012);
         bench.insert(0.0115, 0.5);
         bench.jaw(-0.1);

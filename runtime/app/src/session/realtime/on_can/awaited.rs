@@ -26,18 +26,18 @@ const CAMERA_NS_MAX: u64 = 10_000_000_000;
 /// Whoever waits for longer wants to know for what, ns.
 pub(in super::super) const PATIENCE_NS: u64 = 500_000_000;
 
-/// Time between two looks, ns.
+/// Polling period, ns.
 const POLL_NS: u64 = 1_000_000;
 
-/// Says a line on the terminal, from any thread.
-pub type Say<'a> = &'a (dyn Fn(&str) + Sync);
+/// Prints a line on the terminal, from any thread.
+pub type PrintLine<'a> = &'a (dyn Fn(&str) + Sync);
 
 /// Looks until there is something, for `limit_ns` at most; `lacking` says what was not there, and what would help.
 fn await_it<T>(
     what: &str,
     lacking: &str,
     limit_ns: u64,
-    say: Say<'_>,
+    say: PrintLine<'_>,
     mut look: impl FnMut() -> Result<Option<T>, SessionError>,
 ) -> Result<T, SessionError> {
     let clock = MonotonicClock::new();
@@ -63,7 +63,7 @@ fn await_it<T>(
 pub(super) fn world(
     scene: &Subscriber<SceneReport>,
     topics: &str,
-    say: Say<'_>,
+    say: PrintLine<'_>,
 ) -> Result<SceneReport, SessionError> {
     let what = format!("a world on topics {topics:?}");
     let lacking = format!(
@@ -78,7 +78,7 @@ pub(super) fn stopped(
     scene: &Subscriber<SceneReport>,
     clock: MonotonicClock,
     topics: &str,
-    say: Say<'_>,
+    say: PrintLine<'_>,
 ) -> Result<(), SessionError> {
     let what = format!("the drives of the world on topics {topics:?} to be those brought up");
     let lacking = format!(
@@ -136,7 +136,7 @@ pub(super) fn still_there(
     cameras: &mut [Camera],
     clock: MonotonicClock,
     topics: &str,
-    say: Say<'_>,
+    say: PrintLine<'_>,
 ) -> Result<(), SessionError> {
     for (name, topic) in cameras {
         let what = format!("the next frame of camera {name} on topics {topics:?}");
@@ -166,7 +166,7 @@ pub(in super::super) fn cameras(
     wanted: &[Wanted],
     clock: MonotonicClock,
     (topics, publisher): (&str, &str),
-    (say, meanwhile): (Say<'_>, &mut dyn FnMut() -> Result<(), SessionError>),
+    (say, meanwhile): (PrintLine<'_>, &mut dyn FnMut() -> Result<(), SessionError>),
 ) -> Result<Vec<Camera>, SessionError> {
     let mut found = Vec::new();
     for (name, size) in wanted {

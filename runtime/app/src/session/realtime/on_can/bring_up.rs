@@ -12,12 +12,12 @@ use trocar_canopen::socket::SocketBus;
 use trocar_topics::{SceneReport, Verdict};
 
 use super::CanOptions;
-use super::awaited::{PATIENCE_NS, Say};
+use super::awaited::{PATIENCE_NS, PrintLine};
 use crate::rig::can_clock::CanClock;
 use crate::rt::{self, MonotonicClock};
 use crate::session::{Plan, SessionError};
 
-/// Time between two looks, ns.
+/// Polling period, ns.
 const POLL_NS: u64 = 1_000_000;
 
 /// An arm that has its references and no torque yet.
@@ -80,7 +80,7 @@ const LINES_NS: u64 = 1_000_000_000;
 pub(super) fn bring_up(
     can: &CanOptions,
     buses: Vec<SocketBus<CanClock>>,
-    say: Say<'_>,
+    say: PrintLine<'_>,
 ) -> Result<Vec<ReadyArm>, SessionError> {
     let mut ready = Vec::new();
     for (index, (bus, arm)) in buses.into_iter().zip(&can.config.arms).enumerate() {
@@ -125,7 +125,7 @@ fn home(
 }
 
 /// Does `work`, and meanwhile says of the arm `name` what it is at.
-fn narrated<T>(name: &str, say: Say<'_>, work: impl FnOnce(Sender<Step>) -> T) -> T {
+fn narrated<T>(name: &str, say: PrintLine<'_>, work: impl FnOnce(Sender<Step>) -> T) -> T {
     let (steps, told) = channel();
     thread::scope(|scope| {
         scope.spawn(move || narrate(name, &told, say));
@@ -134,7 +134,7 @@ fn narrated<T>(name: &str, say: Say<'_>, work: impl FnOnce(Sender<Step>) -> T) -
 }
 
 /// Says, at first after a little and then once a second, what bring-up is at, until that is over.
-fn narrate(name: &str, told: &Receiver<Step>, say: Say<'_>) {
+fn narrate(name: &str, told: &Receiver<Step>, say: PrintLine<'_>) {
     let clock = MonotonicClock::new();
     let (mut step, mut next) = (Step::Finding, TimeNs(PATIENCE_NS));
     loop {

@@ -3,11 +3,11 @@
 use super::super::policy_process::arm_names;
 use super::super::signals::Signals;
 use crate::mailbox::MailboxReader;
-use crate::rig::can::{Happened, Noticed};
+use crate::rig::can::{CanStatus, Noticed};
 use hal::PerArm;
 use trocar_log::Level;
 
-impl Happened {
+impl CanStatus {
     /// What is new since `before`, for a person. A fault ends the motion; a controller that is error passive still works, and the
     /// arm goes on.
     fn news(&self, before: &Self) -> Vec<(Level, String)> {
@@ -28,14 +28,14 @@ impl Happened {
     }
 }
 
-/// What is news of it for the log.
-pub(in super::super) struct News {
+/// Changes of it for the log.
+pub(in super::super) struct CanEventLog {
     noticed: MailboxReader<Noticed>,
     /// What of it is in the log.
-    told: Option<PerArm<Happened>>,
+    told: Option<PerArm<CanStatus>>,
 }
 
-impl News {
+impl CanEventLog {
     pub(in super::super) const fn new(noticed: MailboxReader<Noticed>) -> Self {
         Self {
             noticed,
@@ -49,7 +49,7 @@ impl News {
             return;
         };
         let told = self.told.replace(happened);
-        let told = told.unwrap_or(happened.map(|_| Happened::default()));
+        let told = told.unwrap_or(happened.map(|_| CanStatus::default()));
         let arms = happened.iter().zip(told.iter());
         for ((now, before), name) in arms.zip(arm_names(happened.count())) {
             for (level, text) in now.news(before) {
@@ -68,9 +68,9 @@ mod tests {
     /// Each time a controller becomes error passive is a warning and a fault is an error once.
     #[test]
     fn error_passive_is_a_warning_and_a_fault_one_error() {
-        let quiet = Happened::default();
+        let quiet = CanStatus::default();
         assert!(quiet.news(&quiet).is_empty());
-        let passive = Happened {
+        let passive = CanStatus {
             passives: [0, 2, 0],
             ..quiet
         };
@@ -84,7 +84,7 @@ mod tests {
             "{text}"
         );
         assert!(passive.news(&passive).is_empty());
-        let failed = Happened {
+        let failed = CanStatus {
             fault: Some(Fault::BusOff { line: 1 }),
             passives: [0, 3, 0],
         };

@@ -30,6 +30,7 @@ use trocar_canopen::master::{BringUpError, CanConfig, Permission, enable_togethe
 use trocar_canopen::socket::SocketBus;
 use trocar_topics::{ArmReport, Publisher, SceneTopic, TopicNode};
 
+use super::channels::{ControlChannels, Local, ObserverChannels, ThreadChannels};
 use super::child::Outside;
 use super::control_thread::{ControlEnd, ControlThread};
 use super::drivers::Drivers;
@@ -38,8 +39,7 @@ use super::robot::{RobotOptions, RobotThread, check_faults};
 use super::shown::show_rig;
 use super::signals::{Moving, StopsAll};
 use super::threads::{self, wired};
-use super::wires::{ControlWires, Local, SeenWires, Wires};
-use crate::rig::Observed;
+use crate::rig::ObservedRig;
 use crate::rig::can::CanRig;
 use crate::rig::can_clock::CanClock;
 use crate::rt::{self, Held, MonotonicClock, Periodic, RtOptions};
@@ -53,9 +53,9 @@ use hal::PerArm;
 use scene_thread::{SceneThread, frames};
 use trocar_control::AnyController;
 
-pub use awaited::Say;
+pub use awaited::PrintLine;
 pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS, Wanted, cameras};
-pub(super) use happened::News;
+pub(super) use happened::CanEventLog;
 pub(super) use scene_thread::{arm_reports, logged, seen_at};
 
 /// How far a frame may be from the instant of an observation where cameras have clocks of their own, ms: a policy step.
@@ -100,11 +100,15 @@ struct Begun<'a> {
     clock: MonotonicClock,
     buses: Vec<SocketBus<CanClock>>,
     node: TopicNode,
-    say: Say<'a>,
+    say: PrintLine<'a>,
 }
 
 /// Opens the buses of the arms and joins the topics of their world, or of their cameras.
-fn begin<'a>(robot: &Robot, can: &'a CanOptions, say: Say<'a>) -> Result<Begun<'a>, SessionError> {
+fn begin<'a>(
+    robot: &Robot,
+    can: &'a CanOptions,
+    say: PrintLine<'a>,
+) -> Result<Begun<'a>, SessionError> {
     check(&robot.name, robot.arms(), &can.config)?;
     check_faults(robot)?;
     let clock = MonotonicClock::new();
@@ -126,7 +130,11 @@ fn begin<'a>(robot: &Robot, can: &'a CanOptions, say: Say<'a>) -> Result<Begun<'
 ///
 /// # Errors
 /// From the configuration, the buses and their drives, the world's topics, the policy or the log.
-pub fn run_on_can(plan: &Plan, can: &CanOptions, say: Say<'_>) -> Result<RunResult, SessionError> {
+pub fn run_on_can(
+    plan: &Plan,
+    can: &CanOptions,
+    say: PrintLine<'_>,
+) -> Result<RunResult, SessionError> {
     let begun = begin(&plan.setup.robot, can, say)?;
     let scene = SceneTopic::subscriber(&begun.node, ARM_NAMES[0])?;
     let world = awaited::world(&scene, &can.topics, say)?;
@@ -162,7 +170,7 @@ pub fn run_robot_on_can(
     plan: &Plan<Robot>,
     asked: &RobotOptions,
     can: &CanOptions,
-    say: Say<'_>,
+    say: PrintLine<'_>,
 ) -> Result<RunResult, SessionError> {
     let begun = begin(&plan.setup, can, say)?;
     begun.run(plan, FRAMES_WITHIN_MS, &asked.cameras, |node, watching| {
@@ -183,7 +191,7 @@ pub fn run_robot_on_can(
 
 /// What the thread that observes the arms is made of.
 struct Watching {
-    seen: SeenWires,
+    seen: ObserverChannels,
     local: Local,
     /// For a policy process, one an arm.
     reports: Vec<Publisher<ArmReport>>,
@@ -221,14 +229,15 @@ impl Begun<'_> {
         let (mut child, source) = policy.start(plan, outside, say)?;
         let ready = bring_up(can, self.buses, say)?;
         awaited::still_there(&mut cameras, clock, &can.topics, say)?;
-        let mut wires = Wires::new((plan.open_log(false)?, plan.console.as_ref()), clock);
+        let mut channels =
+            ThreadChannels::new((plan.open_log(false)?, plan.console.as_ref()), clock);
         let robot = plan.setup.robot();
-        let port = (wires.listener.as_ref(), &mut wires.control.operator);
+        let port = (channels.listener.as_ref(), &mut channels.control.operator);
         show_rig(plan, can.buses(robot.arms()), port);
         let reports = arm_reports(&node, robot.arms(), child.is_some())?;
-        let (local, remote) = wired(plan, source, child.as_mut(), wires.chunk_in, clock);
+        let (local, remote) = wired(plan, source, child.as_mut(), channels.chunk_in, clock);
         let watching = Watching {
-            seen: wires.seen,
+            seen: channels.seen,
             local,
             reports,
             cameras: (cameras, looked_at),
@@ -239,25 +248,25 @@ impl Begun<'_> {
             say,
             ready,
             controller: robot.controller()?,
-            wires: wires.control,
+            channels: channels.control,
             profile: plan.real_time.control,
             overruns_max: plan.real_time.overruns_per_s_max,
             held: plan.real_time.hold()?,
         };
-        let signals = Arc::clone(&enabling.wires.signals);
-        let served = (&*signals, wires.listener.as_ref());
+        let signals = Arc::clone(&enabling.channels.signals);
+        let served = (&*signals, channels.listener.as_ref());
         let ends = threads::run(remote, served, || enabling.run(), observe);
-        conclude(plan, ends, wires.log, can)
+        conclude(plan, ends, channels.log, can)
     }
 }
 
 /// The control thread before its arms have torque.
 struct Enabling<'a> {
     can: &'a CanOptions,
-    say: Say<'a>,
+    say: PrintLine<'a>,
     ready: Vec<ReadyArm>,
     controller: AnyController,
-    wires: ControlWires,
+    channels: ControlChannels,
     profile: RtOptions,
     overruns_max: Option<u64>,
     held: Held,
@@ -266,7 +275,7 @@ struct Enabling<'a> {
 impl Enabling<'_> {
     /// Enables all drives and controls them until the run is over, which leaves them without torque.
     fn run(self) -> Result<ControlEnd<CanRig>, SessionError> {
-        let ControlWires {
+        let ControlChannels {
             measured,
             noticed,
             chunks,
@@ -274,7 +283,7 @@ impl Enabling<'_> {
             signals,
             operator,
             clock,
-        } = self.wires;
+        } = self.channels;
         // Until the drives are taken down.
         let _moving = Moving;
         let _stops = StopsAll(&signals);
@@ -307,7 +316,7 @@ impl Enabling<'_> {
         let periodic = Periodic::new(clock, clock.now().plus_ns(TICK_NS), TICK_NS);
         let control = ControlThread {
             controller: self.controller,
-            rig: Observed::new(CanRig::new(arms, noticed, periodic), measured),
+            rig: ObservedRig::new(CanRig::new(arms, noticed, periodic), measured),
             drivers: Drivers::new(chunks, None),
             log,
             signals: Arc::clone(&signals),

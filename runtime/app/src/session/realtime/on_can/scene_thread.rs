@@ -3,16 +3,16 @@
 
 use std::sync::Arc;
 
-use hal::{ArmState, CameraFrame, Intrinsics, SeenArm, TimeNs};
+use hal::{ArmObservation, ArmState, CameraFrame, Intrinsics, TimeNs};
 use trocar_topics::{
     ArmReport, ArmStateTopic, CameraTopic, Events, FrameView, Publisher, SceneReport, Subscriber,
     TopicNode, Verdict,
 };
 
+use super::super::channels::{Local, ObserverChannels};
 use super::super::policy_process::arm_names;
-use super::super::signals::EndsRun;
-use super::super::wires::{Local, SeenWires};
-use super::awaited::{Camera, PATIENCE_NS, Say};
+use super::super::signals::EndRunOnDrop;
+use super::awaited::{Camera, PATIENCE_NS, PrintLine};
 use crate::histogram::Histogram;
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
@@ -21,7 +21,7 @@ use crate::session::summary::TissueSummary;
 use crate::session::world_report::{scene_state, tissue};
 use hal::PerArm;
 
-/// Time between two looks at the control thread's news, which wakes nobody, ns; what the world shows every 40 ms does.
+/// Polling period for the control thread's news, which wakes nobody, ns; what the world shows every 40 ms does.
 const POLL_NS: u64 = 3_000_000;
 
 /// A world that says nothing for this long is gone, ns.
@@ -34,10 +34,10 @@ const BEGIN_NS_MAX: u64 = 3_000_000_000;
 /// The thread before it runs.
 pub(super) struct SceneThread<'a> {
     /// Says what is waited for.
-    pub(super) say: Say<'a>,
+    pub(super) say: PrintLine<'a>,
     pub(super) scene: Subscriber<SceneReport>,
     pub(super) events: Events,
-    pub(super) seen: SeenWires,
+    pub(super) seen: ObserverChannels,
     pub(super) local: Local,
     /// For a policy process, one an arm.
     pub(super) reports: Vec<Publisher<ArmReport>>,
@@ -111,7 +111,7 @@ impl Awaited {
         &mut self,
         now: TimeNs,
         (operational, enabled): (bool, bool),
-        say: Say<'_>,
+        say: PrintLine<'_>,
     ) -> Option<String> {
         if enabled && !self.enabled {
             *self = Self::new(now);
@@ -154,7 +154,7 @@ impl SceneThread<'_> {
     /// Runs until the control thread has stopped; says so when the task has its verdict or the world is gone.
     pub(super) fn run(mut self) -> Result<SceneEnd, SessionError> {
         let signals = Arc::clone(&self.seen.signals);
-        let _ends = EndsRun(&signals);
+        let _ends = EndRunOnDrop(&signals);
         let mut end = SceneEnd::new();
         let (mut newest, mut heard, mut begun) = (None, self.seen.clock.now(), None);
         let (mut awaits, mut ended) = (Awaited::new(heard), false);
@@ -291,6 +291,6 @@ pub(in super::super) fn logged(view: &FrameView, clock: &MonotonicClock) -> Came
 }
 
 /// An arm in `state` as a policy sees it at `stamp`.
-pub(in super::super) fn seen_at(state: &ArmState, stamp: TimeNs) -> SeenArm {
+pub(in super::super) fn seen_at(state: &ArmState, stamp: TimeNs) -> ArmObservation {
     seen_arm(&ArmState { stamp, ..*state })
 }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use hal::Rig;
 
+use super::super::channels::{ControlChannels, ThreadChannels};
 use super::super::control_thread::ControlThread;
 use super::super::drivers::Drivers;
 use super::super::ended::closed;
@@ -11,9 +12,8 @@ use super::super::on_can::Camera;
 use super::super::shown::show_rig;
 use super::super::signals::Moving;
 use super::super::threads;
-use super::super::wires::{ControlWires, Wires};
 use super::{RobotOptions, RobotThread, check_faults, robot_ended};
-use crate::rig::Observed;
+use crate::rig::ObservedRig;
 use crate::rt::{self, MonotonicClock};
 use crate::session::run::RunResult;
 use crate::session::source::ChunkSource;
@@ -50,20 +50,20 @@ pub(super) fn run_seeing<R: Rig + Send>(
     check_faults(robot)?;
     source.reset(plan.seed);
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
-    let mut wires = Wires::new((plan.open_log(false)?, plan.console.as_ref()), clock);
-    let port = (wires.listener.as_ref(), &mut wires.control.operator);
+    let mut channels = ThreadChannels::new((plan.open_log(false)?, plan.console.as_ref()), clock);
+    let port = (channels.listener.as_ref(), &mut channels.control.operator);
     show_rig(plan, (Vec::new(), 0), port);
-    let ControlWires {
+    let ControlChannels {
         measured,
         chunks,
         log,
         signals,
         operator,
         ..
-    } = wires.control;
+    } = channels.control;
     let control_thread = ControlThread {
         controller: robot.controller()?,
-        rig: Observed::new(rig, measured),
+        rig: ObservedRig::new(rig, measured),
         drivers: Drivers::new(chunks, None),
         log,
         signals: Arc::clone(&signals),
@@ -73,10 +73,10 @@ pub(super) fn run_seeing<R: Rig + Send>(
         overruns_max: plan.real_time.overruns_per_s_max,
         held: plan.real_time.hold()?,
     };
-    let local = Some((source, wires.chunk_in));
+    let local = Some((source, channels.chunk_in));
     let looked_at = cameras.len();
     let robot_thread = RobotThread::new(
-        wires.seen,
+        channels.seen,
         local,
         Vec::new(),
         (cameras, looked_at),
@@ -87,7 +87,7 @@ pub(super) fn run_seeing<R: Rig + Send>(
         let _moving = Moving;
         Ok(control_thread.run(clock).with_rig(|rig| rig.arms))
     };
-    let served = (&*signals, wires.listener.as_ref());
+    let served = (&*signals, channels.listener.as_ref());
     let ends = threads::run(None, served, control, || robot_thread.run());
     let all = ends.control.and_then(|control| {
         let arms = control.rig;
@@ -103,13 +103,13 @@ pub(super) fn run_seeing<R: Rig + Send>(
     let (mut control, seen, watched) = match all {
         Ok(all) => all,
         Err(error) => {
-            wires.log.map(|log| log.finish(None)).transpose()?;
+            channels.log.map(|log| log.finish(None)).transpose()?;
             return Err(error);
         }
     };
     let ended = robot_ended(&seen, &watched, control.tally.faults());
     control.tally.inferences(&seen.inference);
-    Ok(closed(plan, &control, &ended, wires.log))
+    Ok(closed(plan, &control, &ended, channels.log))
 }
 
 /// What a policy can't have behind a rig of one's own.

@@ -8,7 +8,7 @@ use hal::random::fnv_1a;
 use trocar_control::Supervision;
 use trocar_log::Level;
 
-use super::super::signals::{Lacking, Signals};
+use super::super::signals::{HoldCause, Signals};
 
 /// A camera that shows nothing for this long, or nothing but old frames, is gone, ns.
 const SILENCE_NS_MAX: u64 = 2_000_000_000;
@@ -19,8 +19,8 @@ const SAMPLES: usize = 16_384;
 /// How a run is supervised, and who says on the terminal what happens.
 pub(super) type Rules = (Supervision, fn(&str));
 
-/// The cameras that a policy looks through.
-pub(super) struct Sight {
+/// The policy's cameras, monitored for loss and stalls.
+pub(super) struct CameraMonitor {
     /// By name, when each last showed something, by the run's clock.
     shown: Vec<(String, TimeNs)>,
     /// The size of each one's first frame, pixels, and what is said once one is of another.
@@ -37,7 +37,7 @@ pub(super) struct Sight {
     times: u32,
 }
 
-impl Sight {
+impl CameraMonitor {
     /// Through the cameras of these names, supervised by these rules.
     pub(super) fn new(names: Vec<String>, (rules, warn): Rules) -> Self {
         Self {
@@ -108,7 +108,7 @@ impl Sight {
             (None, Some(_)) => {
                 self.gone_until = None;
                 signals.hold_for_answers(now);
-                signals.go_on(Lacking::Frames);
+                signals.go_on(HoldCause::Frames);
                 self.tell(now, signals, Level::Info, "the cameras show frames again");
                 None
             }
@@ -145,7 +145,7 @@ impl Sight {
         if self.times >= self.rules.restarts {
             return Some(reason);
         }
-        signals.hold(Lacking::Frames);
+        signals.hold(HoldCause::Frames);
         self.times += 1;
         self.gone_until = Some(now.plus_ns(self.rules.return_ns));
         let (time, of) = (self.times, self.rules.restarts);

@@ -6,12 +6,12 @@ use std::sync::Arc;
 use hal::{ArmState, TimeNs};
 use trocar_topics::{ArmReport, Events, Publisher};
 
+use super::super::channels::{Local, ObserverChannels};
 use super::super::frames_thread::show_view;
 use super::super::on_can::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
-use super::super::signals::EndsRun;
-use super::super::wires::{Local, SeenWires};
+use super::super::signals::EndRunOnDrop;
 use super::RobotOptions;
-use super::sight::{Rules, Sight};
+use super::sight::{CameraMonitor, Rules};
 use crate::console::FrameTap;
 use crate::histogram::Histogram;
 use crate::rt;
@@ -19,7 +19,7 @@ use crate::session::SessionError;
 use crate::session::source::{Query, STEP_NS};
 use hal::PerArm;
 
-/// Time between two looks at the measured arms, which wake nobody, ns; a frame does.
+/// Polling period for the measured arms, which wake nobody, ns; a frame does.
 const POLL_NS: u64 = 2_000_000;
 
 /// How far a measurement may be from the instant that it stands for, ns.
@@ -30,13 +30,13 @@ const KEPT: usize = 512;
 
 /// The thread before it runs.
 pub(in super::super) struct RobotThread {
-    seen: SeenWires,
+    seen: ObserverChannels,
     local: Local,
     /// For a policy process, one an arm.
     reports: Vec<Publisher<ArmReport>>,
     /// Those that the policy looks through first.
     cameras: Vec<Camera>,
-    sight: Sight,
+    sight: CameraMonitor,
     /// After how long it ends, ns.
     limit_ns: Option<u64>,
     past: Past,
@@ -82,7 +82,7 @@ impl Past {
 
 impl RobotThread {
     pub(in super::super) fn new(
-        seen: SeenWires,
+        seen: ObserverChannels,
         local: Local,
         reports: Vec<Publisher<ArmReport>>,
         (cameras, looked_at): (Vec<Camera>, usize),
@@ -101,7 +101,7 @@ impl RobotThread {
             local,
             reports,
             cameras,
-            sight: Sight::new(names, supervised),
+            sight: CameraMonitor::new(names, supervised),
             limit_ns,
             past: Past::default(),
             events: None,
@@ -128,7 +128,7 @@ impl RobotThread {
     /// Runs until the control thread has stopped; ends the run when the time is up or a camera that the policy needs is gone.
     pub(in super::super) fn run(mut self) -> Result<RobotEnd, SessionError> {
         let signals = Arc::clone(&self.seen.signals);
-        let _ends = EndsRun(&signals);
+        let _ends = EndRunOnDrop(&signals);
         let mut end = RobotEnd {
             ended_by: None,
             as_asked: false,

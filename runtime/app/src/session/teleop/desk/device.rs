@@ -6,9 +6,9 @@ use evdev::{AbsoluteAxisCode as Abs, EventType, KeyCode as Key};
 use hal::TimeNs;
 use nalgebra::Vector3;
 
-use super::super::Wish;
+use super::super::EpisodeCommand;
 use super::events::Event;
-use super::hand::Asked;
+use super::hand::DeviceAxes;
 
 // Of a hand: the tip makes a part of the way.
 const KEY_M_S: f64 = 0.1;
@@ -54,27 +54,51 @@ const KEYS: [(Key, usize, f64); 14] = [
 
 /// What is said by a press, and by nothing that is held.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Said {
+pub(super) enum ButtonAction {
     /// This arm is to be moved.
     Arm(usize),
     /// The other one is.
     OtherArm,
     /// What is to become of the demonstration.
-    Wish(Wish),
+    EpisodeCommand(EpisodeCommand),
 }
 
-const PRESSES: [(Key, Said); 11] = [
-    (Key::KEY_1, Said::Arm(0)),
-    (Key::KEY_2, Said::Arm(1)),
-    (Key::BTN_WEST, Said::OtherArm),
-    (Key::KEY_G, Said::Wish(Wish::Start)),
-    (Key::BTN_START, Said::Wish(Wish::Start)),
-    (Key::KEY_Y, Said::Wish(Wish::Keep)),
-    (Key::BTN_SOUTH, Said::Wish(Wish::Keep)),
-    (Key::KEY_Z, Said::Wish(Wish::Redo)),
-    (Key::BTN_SELECT, Said::Wish(Wish::Redo)),
-    (Key::KEY_X, Said::Wish(Wish::Discard)),
-    (Key::BTN_EAST, Said::Wish(Wish::Discard)),
+const PRESSES: [(Key, ButtonAction); 11] = [
+    (Key::KEY_1, ButtonAction::Arm(0)),
+    (Key::KEY_2, ButtonAction::Arm(1)),
+    (Key::BTN_WEST, ButtonAction::OtherArm),
+    (
+        Key::KEY_G,
+        ButtonAction::EpisodeCommand(EpisodeCommand::Start),
+    ),
+    (
+        Key::BTN_START,
+        ButtonAction::EpisodeCommand(EpisodeCommand::Start),
+    ),
+    (
+        Key::KEY_Y,
+        ButtonAction::EpisodeCommand(EpisodeCommand::Keep),
+    ),
+    (
+        Key::BTN_SOUTH,
+        ButtonAction::EpisodeCommand(EpisodeCommand::Keep),
+    ),
+    (
+        Key::KEY_Z,
+        ButtonAction::EpisodeCommand(EpisodeCommand::Redo),
+    ),
+    (
+        Key::BTN_SELECT,
+        ButtonAction::EpisodeCommand(EpisodeCommand::Redo),
+    ),
+    (
+        Key::KEY_X,
+        ButtonAction::EpisodeCommand(EpisodeCommand::Discard),
+    ),
+    (
+        Key::BTN_EAST,
+        ButtonAction::EpisodeCommand(EpisodeCommand::Discard),
+    ),
 ];
 
 /// A device as its events left it.
@@ -111,7 +135,7 @@ impl Device {
     }
 
     /// Takes in an event that came `now`.
-    pub(super) fn take(&mut self, event: Event, now: TimeNs) -> Option<Said> {
+    pub(super) fn take(&mut self, event: Event, now: TimeNs) -> Option<ButtonAction> {
         let Event { kind, code, value } = event;
         match EventType(kind) {
             EventType::KEY if value == 1 => return self.press(code, now),
@@ -130,7 +154,7 @@ impl Device {
         None
     }
 
-    fn press(&mut self, code: u16, now: TimeNs) -> Option<Said> {
+    fn press(&mut self, code: u16, now: TimeNs) -> Option<ButtonAction> {
         self.down.insert(code, now);
         self.flips |= code == CAP_JAW.code() && self.is_down(CAP_CLUTCH);
         let said = PRESSES.iter().find(|(key, _)| key.code() == code);
@@ -178,7 +202,7 @@ impl Device {
     }
 
     /// What it asks for `now`; the jaw of its hand is closed so far, 0 to 1.
-    pub(super) fn asked(&mut self, now: TimeNs, jaw: f64) -> Asked {
+    pub(super) fn asked(&mut self, now: TimeNs, jaw: f64) -> DeviceAxes {
         if core::mem::take(&mut self.flips) {
             self.closing = if jaw < 0.5 { 1.0 } else { -1.0 };
         }
@@ -186,7 +210,7 @@ impl Device {
         keys.and(self.by_pad()).and(self.by_cap(now))
     }
 
-    fn by_keys(&self, now: TimeNs) -> Asked {
+    fn by_keys(&self, now: TimeNs) -> DeviceAxes {
         let mut asked = [0.0; 7];
         for (key, axis, sign) in KEYS {
             if let Some(since) = self.down.get(&key.code()) {
@@ -201,7 +225,7 @@ impl Device {
             }
         }
         let [x, y, z, a, b, c, jaw] = asked;
-        Asked {
+        DeviceAxes {
             clutch: self.is_down(Key::KEY_F),
             way: KEY_M_S * Vector3::new(x, y, z),
             turn: KEY_RAD_S * Vector3::new(a, b, c),
@@ -210,13 +234,13 @@ impl Device {
         }
     }
 
-    fn by_pad(&self) -> Asked {
+    fn by_pad(&self) -> DeviceAxes {
         let axis = |axis: Abs| self.axes.get(&axis.0).copied().unwrap_or(0.0);
         let stick = |which: Abs| fine(axis(which), STICK_DEAD);
         let way = Vector3::new(stick(Abs::ABS_X), -stick(Abs::ABS_Y), stick(Abs::ABS_RY));
         let cross = [Abs::ABS_HAT0Y, Abs::ABS_HAT0X].map(|hat| -axis(hat));
         let turn = Vector3::new(cross[0], cross[1], -stick(Abs::ABS_RX));
-        Asked {
+        DeviceAxes {
             clutch: self.is_down(Key::BTN_TL),
             way: STICK_M_S * way,
             turn: STICK_RAD_S * turn,
@@ -225,11 +249,11 @@ impl Device {
         }
     }
 
-    fn by_cap(&self, now: TimeNs) -> Asked {
-        let mut asked = Asked {
+    fn by_cap(&self, now: TimeNs) -> DeviceAxes {
+        let mut asked = DeviceAxes {
             clutch: self.is_down(CAP_CLUTCH),
             jaw: JAW_1_S * self.closing,
-            ..Asked::default()
+            ..DeviceAxes::default()
         };
         let [x, y, z, a, b, c] = self.cap.map(|value| fine(value, CAP_DEAD));
         // The kernel passes on no 0: a half that springs back falls silent.

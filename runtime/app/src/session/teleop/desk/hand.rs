@@ -9,7 +9,7 @@ const REACH_M: f64 = 5.0;
 
 /// What devices ask for. Axes are the picture's: x to the right, y up, z towards the viewer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Asked {
+pub(super) struct DeviceAxes {
     /// Whether the clutch is held.
     pub(super) clutch: bool,
     /// m/s.
@@ -22,7 +22,7 @@ pub(super) struct Asked {
     pub(super) trigger: Option<f64>,
 }
 
-impl Asked {
+impl DeviceAxes {
     /// What two devices ask for; clutches do not depend on each other.
     pub(super) fn and(self, other: Self) -> Self {
         // A device moves nothing by the clutch of another.
@@ -52,7 +52,7 @@ pub(super) struct VirtualHand {
 
 impl VirtualHand {
     /// Does what is `asked` for `seconds`; the arm's jaw is closed so far now, 0 to 1.
-    pub(super) fn go(&mut self, asked: &Asked, seconds: f64, jaw: f64) {
+    pub(super) fn go(&mut self, asked: &DeviceAxes, seconds: f64, jaw: f64) {
         if asked.clutch && !self.clutch {
             *self = Self {
                 jaw,

@@ -23,12 +23,12 @@ use std::time::Duration;
 use hal::{ARMS_MAX, TimeNs};
 
 use super::message::HandsMessage;
-use super::{Hands, Lost};
+use super::{Hands, ReleaseCause};
 use crate::rt::MonotonicClock;
 use crate::session::SessionError;
-use device::{Device, Said};
+use device::{ButtonAction, Device};
 use events::{Event, Source};
-use hand::{Asked, VirtualHand};
+use hand::{DeviceAxes, VirtualHand};
 
 /// Its seat; those of pages are counted from 1.
 const SEAT: u64 = 0;
@@ -38,7 +38,7 @@ const EVERY_NS: u64 = 20_000_000;
 const WAIT: Duration = Duration::from_millis(5);
 
 /// An event of the device of that index; none when it has gone.
-type Heard = (usize, Option<Event>);
+type DeviceEvent = (usize, Option<Event>);
 
 /// From now on the devices at `paths` are the `hands`; `warn` hears of those that go.
 ///
@@ -55,12 +55,12 @@ pub(crate) fn attend(
         SessionError::BadArgument(format!("--hands: no thread can be started for it: {error}"))
     };
     hands.take_desk();
-    let mut desk = Desk::new(hands);
+    let mut desk = InputDevices::new(hands);
     let (to, events) = mpsc::channel();
     for (index, source) in sources.into_iter().enumerate() {
         desk.devices
             .push(Some(Device::new(source.is_cap, source.ranges.clone())));
-        let to: Sender<Heard> = to.clone();
+        let to: Sender<DeviceEvent> = to.clone();
         let read = move || {
             source.read(|event| to.send((index, Some(event))).is_ok());
             let _over = to.send((index, None));
@@ -87,7 +87,7 @@ fn spawn(name: &str, body: impl FnOnce() + Send + 'static) -> std::io::Result<()
 }
 
 /// The hands of its devices.
-struct Desk {
+struct InputDevices {
     hands: Arc<Hands>,
     /// None has gone.
     devices: Vec<Option<Device>>,
@@ -98,7 +98,7 @@ struct Desk {
     before: TimeNs,
 }
 
-impl Desk {
+impl InputDevices {
     fn new(hands: Arc<Hands>) -> Self {
         let clock = MonotonicClock::new();
         Self {
@@ -111,7 +111,7 @@ impl Desk {
         }
     }
 
-    fn run(mut self, events: &Receiver<Heard>, gone: impl Fn(usize)) {
+    fn run(mut self, events: &Receiver<DeviceEvent>, gone: impl Fn(usize)) {
         loop {
             match events.recv_timeout(WAIT) {
                 Ok((index, Some(event))) => self.take(index, event),
@@ -121,7 +121,7 @@ impl Desk {
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
-                    self.hands.release(SEAT, Lost::NoDevice);
+                    self.hands.release(SEAT, ReleaseCause::NoDevice);
                     return;
                 }
             }
@@ -141,9 +141,9 @@ impl Desk {
         let now = self.clock.now();
         let device = self.devices.get_mut(index).and_then(Option::as_mut);
         let chosen = match device.and_then(|device| device.take(event, now)) {
-            Some(Said::Arm(arm)) => arm,
-            Some(Said::OtherArm) => 1 - self.chosen.min(1),
-            Some(Said::Wish(wish)) => {
+            Some(ButtonAction::Arm(arm)) => arm,
+            Some(ButtonAction::OtherArm) => 1 - self.chosen.min(1),
+            Some(ButtonAction::EpisodeCommand(wish)) => {
                 // One that does not apply now is none.
                 let _none = self.hands.wish(wish);
                 return;
@@ -181,7 +181,7 @@ impl Desk {
             let mine: Vec<usize> = (0..self.devices.len())
                 .filter(|&device| self.arm_of(device, count) == arm)
                 .collect();
-            let mut asked = Asked::default();
+            let mut asked = DeviceAxes::default();
             let mut is_moved = mine.is_empty();
             for device in mine {
                 if let Some(device) = &mut self.devices[device] {

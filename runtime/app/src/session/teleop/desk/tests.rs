@@ -6,11 +6,11 @@ use std::sync::Arc;
 use evdev::{AbsoluteAxisCode as Abs, EventType, KeyCode as Key, RelativeAxisCode as Rel};
 use hal::TimeNs;
 
-use super::device::{Device, Said};
+use super::device::{ButtonAction, Device};
 use super::events::{Event, Source};
-use super::hand::{Asked, VirtualHand};
-use super::{Desk, Hands};
-use crate::session::teleop::Wish;
+use super::hand::{DeviceAxes, VirtualHand};
+use super::{Hands, InputDevices};
+use crate::session::teleop::EpisodeCommand;
 
 const SYN: Event = Event {
     kind: 0,
@@ -104,7 +104,7 @@ fn a_gamepad_asks_by_its_sticks() {
     ] {
         device.take(event, ms(0));
     }
-    let Asked {
+    let DeviceAxes {
         clutch,
         way,
         turn,
@@ -122,11 +122,11 @@ fn a_gamepad_asks_by_its_sticks() {
     );
     assert_eq!(
         device.take(key(Key::BTN_START, 1), ms(0)),
-        Some(Said::Wish(Wish::Start))
+        Some(ButtonAction::EpisodeCommand(EpisodeCommand::Start))
     );
     assert_eq!(
         device.take(key(Key::BTN_WEST, 1), ms(0)),
-        Some(Said::OtherArm)
+        Some(ButtonAction::OtherArm)
     );
 }
 
@@ -200,7 +200,7 @@ fn what_is_no_device_is_refused() {
 /// One device moves the chosen arm of two, two devices have one each.
 #[test]
 fn each_device_has_its_arm() {
-    let mut desk = Desk::new(Arc::new(Hands::new()));
+    let mut desk = InputDevices::new(Arc::new(Hands::new()));
     desk.devices = vec![Some(Device::default())];
     assert_eq!((desk.arm_of(0, 1), desk.arm_of(0, 2)), (0, 0));
     desk.take(0, key(Key::KEY_2, 1));

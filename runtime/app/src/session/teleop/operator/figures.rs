@@ -1,7 +1,7 @@
 //! What a simulated operator is like, in figures.
 
 use serde::Serialize;
-use trocar_tasks::expert::Care;
+use trocar_tasks::expert::SettleCriteria;
 
 /// Which delays there can be, ms.
 pub const DELAYS_MS: core::ops::RangeInclusive<u64> = 0..=500;
@@ -100,8 +100,8 @@ impl Default for OperatorFigures {
 
 impl OperatorFigures {
     /// What the script waits for.
-    pub(super) const fn care(&self) -> Care {
-        Care {
+    pub(super) const fn care(&self) -> SettleCriteria {
+        SettleCriteria {
             near_m: self.arrived_m,
             near_rad: self.arrived_rad,
             pause_s: self.pause_s,

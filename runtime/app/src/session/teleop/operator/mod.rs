@@ -1,7 +1,7 @@
 //! A simulated operator: sees the scene late, and moves hands that tremble and go astray. What they do passes through everything that a
 //! headset's messages pass through once they are read: [`Hands`], clutch, scale and leash, [`Teleop`].
 //!
-//! The plan is the scripted expert's, played with [`Care`](trocar_tasks::expert::Care): where each tip should be next. A hand moves as the
+//! The plan is the scripted expert's, played with [`SettleCriteria`](trocar_tasks::expert::SettleCriteria): where each tip should be next. A hand moves as the
 //! plan does and never learns where the tip is but by sight, so its errors add up; a correction takes back what is seen of them
 //! ([`OperatorFigures`]). A hand that leaves its comfortable range stops, lets the clutch go, comes back and takes it anew; meanwhile the
 //! plan stands still.
@@ -17,7 +17,7 @@ mod tests;
 
 use std::sync::Arc;
 
-use hal::{ARMS_MAX, Chunk, PerArm, SeenArm, TICK_S, TimeNs, TipTarget};
+use hal::{ARMS_MAX, ArmObservation, Chunk, PerArm, TICK_S, TimeNs, TipTarget};
 use trocar_log::TickRecord;
 use trocar_tasks::expert::{Expert, STEP_NS};
 use trocar_tasks::scene::SceneState;
@@ -112,7 +112,7 @@ impl SimulatedOperator {
     /// Those of [`Teleop::answer`].
     pub(crate) fn answer(
         &mut self,
-        seen: &PerArm<SeenArm>,
+        seen: &PerArm<ArmObservation>,
         scene: &SceneState,
     ) -> Result<PerArm<Chunk>, SessionError> {
         let now = seen.first.state.stamp;

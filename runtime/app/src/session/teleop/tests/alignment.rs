@@ -101,7 +101,7 @@ fn the_bound_of_the_alignment_is_chosen() {
     let mut bench = Bench::new(false);
     for degrees in [4.9, 180.1, f64::NAN, f64::INFINITY, -30.0] {
         let refused = bench.hands.set_align_deg(degrees);
-        assert_eq!(refused, Err(BadHands::Align), "{degrees}");
+        assert_eq!(refused, Err(HandsMessageError::Align), "{degrees}");
     }
     let chosen_deg = bench.hands.summary().align_deg;
     assert!((chosen_deg - DEFAULT_ALIGN_DEG).abs() < 1e-9);

@@ -94,7 +94,7 @@ impl<'a> Attribute<'a> {
             Err(_)
                 if word.starts_with(|sign: char| sign.is_ascii_digit() || "+-.".contains(sign)) =>
             {
-                return Err(format!("{name} has {word}, which is no number"));
+                return Err(format!("{name} has {word}, which is not a number"));
             }
             Err(_) if word == "None" => {}
             Err(_) => self.words.push(word),

@@ -358,7 +358,7 @@ fn hostile_numbers_are_refused_with_line_and_prim() {
         ),
         ("(0, 1, 0)", "(0, -inf, 0)", "points has -inf"),
         ("(0, 1, 0)", "(0, 1e999, 0)", "points has 1e999"),
-        ("(0, 1, 0)", "(0, 1.2.3, 0)", "which is no number"),
+        ("(0, 1, 0)", "(0, 1.2.3, 0)", "which is not a number"),
         (
             "(0, 1, 0)",
             "(0, 1)",

@@ -21,7 +21,7 @@ use super::NeedleHandover;
 use crate::scene::{ArmScene, SceneState};
 use crate::script::motion::Placement;
 use crate::script::play::{Activity, ArmView, Hand, Looks};
-use crate::script::{Care, Script, Wish, arrive, carry};
+use crate::script::{Script, SettleCriteria, TipTargets, arrive, carry};
 use giver::Giver;
 use hal::ARMS_MAX;
 use style::Style;
@@ -73,11 +73,11 @@ pub(crate) struct View {
 }
 
 impl Script for Passer {
-    fn step(&mut self, now: TimeNs, scene: &SceneState) -> Wish {
+    fn step(&mut self, now: TimeNs, scene: &SceneState) -> TipTargets {
         let [giver, taker] = self.views(scene);
         let first = self.giver.play(now, &giver);
         let second = self.taker.play(now, &taker);
-        Wish {
+        TipTargets {
             first: target(&self.bases[0], &first),
             second: Some(target(&self.bases[1], &second)),
         }
@@ -91,14 +91,14 @@ impl Script for Passer {
         [self.giver.activity(), self.taker.activity()]
     }
 
-    fn take_care(&mut self, care: Care, seed: u64) {
+    fn take_care(&mut self, care: SettleCriteria, seed: u64) {
         self.giver
             .take_care(care, Rng::stream(seed, "giver's care"));
         self.taker
             .take_care(care, Rng::stream(seed, "taker's care"));
     }
 
-    fn foresee(&self, scene: &mut SceneState, wish: &Wish) {
+    fn foresee(&self, scene: &mut SceneState, wish: &TipTargets) {
         let (Some(taker), Some(wished)) = (&mut scene.second, &wish.second) else {
             return;
         };

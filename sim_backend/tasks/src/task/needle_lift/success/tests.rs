@@ -42,7 +42,7 @@ impl Bench {
     }
 
     fn show(&mut self, thing_in_scene: Pose, grasp: &Grasp) {
-        self.judge.observe(&Sight {
+        self.judge.observe(&MonitorInput {
             thing_in_scene,
             grasps: vec![*grasp],
             tips_in_scene: vec![Pose::identity()],

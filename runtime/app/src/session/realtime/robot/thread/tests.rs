@@ -7,8 +7,8 @@ use hal::{Intrinsics, JointVector, Pose};
 use trocar_control::Supervision;
 use trocar_topics::{CameraTopic, FrameHeader, FramePublisher, TopicNode};
 
-use super::super::super::signals::{Lacking, Signals};
-use super::super::super::wires::Wires;
+use super::super::super::channels::ThreadChannels;
+use super::super::super::signals::{HoldCause, Signals};
 use super::*;
 use crate::rt::MonotonicClock;
 
@@ -73,8 +73,8 @@ fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
     let node = TopicNode::join(&format!("test-{}-{does:?}", std::process::id())).unwrap();
     let mut camera = Some(CameraTopic::publisher(&node, "scope", 64).unwrap());
     let topic = CameraTopic::subscriber(&node, "scope").unwrap();
-    let wires = Wires::new((None, None), clock);
-    let (mut control, signals) = (wires.control, Arc::clone(&wires.seen.signals));
+    let channels = ThreadChannels::new((None, None), clock);
+    let (mut control, signals) = (channels.control, Arc::clone(&channels.seen.signals));
     let asked = RobotOptions {
         cameras: Vec::new(),
         seconds: Some(seconds),
@@ -86,8 +86,13 @@ fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
         return_ns: 60_000 * MS_NS,
         frozen_ns: Some(500 * MS_NS),
     };
-    let supervised = (rules, (|_| ()) as fn(&str));
-    let robot = RobotThread::new(wires.seen, None, Vec::new(), cameras, (&asked, supervised));
+    let robot = RobotThread::new(
+        channels.seen,
+        None,
+        Vec::new(),
+        cameras,
+        (&asked, (rules, |_| ())),
+    );
     let robot = robot.woken_by(node.events().unwrap());
     let ended = AtomicBool::new(false);
     thread::scope(|scope| {
@@ -113,12 +118,12 @@ fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
                     (Some(camera), Camera::Dies | Camera::Returns | Camera::Lives) => {
                         show(camera, 4, stamp, grey);
                     }
-                    (None, Camera::Returns) if signals.lacks(Lacking::Frames) => {
+                    (None, Camera::Returns) if signals.lacks(HoldCause::Frames) => {
                         camera = Some(CameraTopic::publisher(&node, "scope", 64).unwrap());
                     }
                     (None, _) => {}
                 }
-                if was_gone && signals.lacks(Lacking::Answers) {
+                if was_gone && signals.lacks(HoldCause::Answers) {
                     came_back = true;
                     signals.end_run();
                 }
@@ -172,7 +177,7 @@ fn a_camera_may_come_back() {
     assert!(came_back);
     assert_eq!(end.ended_by, None);
     // Once more than that often is too often.
-    let mut sight = Sight::new(vec!["scope".to_owned()], (Supervision::default(), |_| ()));
+    let mut sight = CameraMonitor::new(vec!["scope".to_owned()], (Supervision::default(), |_| ()));
     let signals = Signals::default();
     assert!(sight.judge(TimeNs(5000 * MS_NS), &signals).is_some());
 }

@@ -15,7 +15,7 @@ use crate::session::SessionError;
 /// The process has this long to go by itself, ns.
 const EXIT_NS_MAX: u64 = 3_000_000_000;
 
-/// Time between two looks, ns.
+/// Polling period, ns.
 const POLL_NS: u64 = 1_000_000;
 
 /// How a process is started.
@@ -27,7 +27,7 @@ pub(super) struct Spawned {
 }
 
 /// A process that was started here, which reports by messages of the type `S`. Dropping it ends it, in peace if it listens.
-pub(super) struct OwnProcess<S: Message> {
+pub(super) struct ChildProcess<S: Message> {
     process: Child,
     spawned: Spawned,
     pub(super) node: TopicNode,
@@ -53,7 +53,7 @@ impl Spawned {
     }
 }
 
-impl<S: Message> OwnProcess<S> {
+impl<S: Message> ChildProcess<S> {
     /// Starts it, as a process of the run of `node`.
     pub(super) fn start(
         spawned: Spawned,
@@ -112,7 +112,7 @@ impl<S: Message> OwnProcess<S> {
     }
 }
 
-impl<S: Message> Drop for OwnProcess<S> {
+impl<S: Message> Drop for ChildProcess<S> {
     fn drop(&mut self) {
         if !(self.listens && self.goes_by_itself()) {
             // Whatever went wrong, nothing is left behind: no process, and nothing of it in shared memory.

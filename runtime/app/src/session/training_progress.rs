@@ -1,11 +1,11 @@
-//! What is said of a training in progress.
+//! Progress of a training.
 
 use super::score::Score;
-use super::training_pace::Standing;
+use super::training_pace::TrainingStatus;
 
-/// What is said of a training in progress.
+/// Progress of a training.
 #[derive(Clone, Copy, Debug)]
-pub enum TrainingNews<'a> {
+pub enum TrainingProgress<'a> {
     /// A line worth reading.
     Note(&'a str),
     /// A line about what may not be meant.
@@ -19,8 +19,8 @@ pub enum TrainingNews<'a> {
         /// Time since the start, s.
         seconds: f64,
     },
-    /// Steps are being taken: news of the first one, then about twice a second, and of every row of the loss curve.
-    Standing(&'a Standing),
+    /// Steps are being taken: sent after the first one, then about twice a second, and for every row of the loss curve.
+    Status(&'a TrainingStatus),
     /// The weights are being evaluated.
     Evaluating {
         /// Steps of training.
@@ -34,5 +34,5 @@ pub enum TrainingNews<'a> {
     },
 }
 
-/// The receiver of the news.
-pub type OnNews<'a> = dyn FnMut(&TrainingNews<'_>) + 'a;
+/// The progress callback.
+pub type OnProgress<'a> = dyn FnMut(&TrainingProgress<'_>) + 'a;

@@ -6,7 +6,7 @@ use hal::{ArmState, Chunk, PerArm};
 use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_log::{LogFile, Recorder, SideLog, TickLog};
 
-use super::on_can::News;
+use super::on_can::CanEventLog;
 use super::signals::Signals;
 use super::{CHUNK_QUEUE, listen, split};
 use crate::console::Console;
@@ -19,17 +19,17 @@ use crate::session::source::ChunkSource;
 /// A policy of this process with the queue for its chunks.
 pub(super) type Local = Option<(ChunkSource, Producer<PerArm<Chunk>>)>;
 
-/// What leads from one thread to the others.
-pub(super) struct Wires {
-    pub(super) control: ControlWires,
-    pub(super) seen: SeenWires,
+/// Channels between the threads.
+pub(super) struct ThreadChannels {
+    pub(super) control: ControlChannels,
+    pub(super) seen: ObserverChannels,
     pub(super) chunk_in: Producer<PerArm<Chunk>>,
     pub(super) log: Option<LogFile>,
     pub(super) listener: Option<Listener>,
 }
 
 /// The control thread's ends.
-pub(super) struct ControlWires {
+pub(super) struct ControlChannels {
     pub(super) measured: MailboxWriter<PerArm<ArmState>>,
     pub(super) noticed: MailboxWriter<Noticed>,
     pub(super) chunks: Consumer<PerArm<Chunk>>,
@@ -39,16 +39,16 @@ pub(super) struct ControlWires {
     pub(super) clock: MonotonicClock,
 }
 
-/// The ends of whoever observes the arms for the policy.
-pub(super) struct SeenWires {
+/// Channel ends of the thread that observes the arms for the policy.
+pub(super) struct ObserverChannels {
     pub(super) measured: MailboxReader<PerArm<ArmState>>,
-    pub(super) news: News,
+    pub(super) news: CanEventLog,
     pub(super) log: Option<SideLog>,
     pub(super) signals: Arc<Signals>,
     pub(super) clock: MonotonicClock,
 }
 
-impl SeenWires {
+impl ObserverChannels {
     /// Writes into the log what has happened to arms, buses and policy.
     pub(super) fn tell(&mut self) {
         self.news.tell(&self.signals);
@@ -56,7 +56,7 @@ impl SeenWires {
     }
 }
 
-impl Wires {
+impl ThreadChannels {
     pub(super) fn new(
         (recorder, console): (Option<Recorder>, Option<&Console>),
         clock: MonotonicClock,
@@ -68,7 +68,7 @@ impl Wires {
         let (listener, operator) = listen(false);
         let (tick_log, side_log, log) = split(recorder);
         Self {
-            control: ControlWires {
+            control: ControlChannels {
                 measured: measured_in,
                 noticed: noticed_in,
                 chunks,
@@ -77,9 +77,9 @@ impl Wires {
                 operator,
                 clock,
             },
-            seen: SeenWires {
+            seen: ObserverChannels {
                 measured,
-                news: News::new(noticed),
+                news: CanEventLog::new(noticed),
                 log: side_log,
                 signals,
                 clock,
