@@ -132,7 +132,7 @@ fn robot_needs_limits_a_bus_and_a_policy() {
         (vec!["run", "--policy", "noop"], "--task"),
         (
             vec!["run", "--policy", "noop", "--safety", safety],
-            "--safety needs --backend can: the simulator runs tasks",
+            "--safety needs --backend can or topics: the simulator runs tasks",
         ),
         (
             [&on_can[..], &[safety, "--policy", "expert"]].concat(),

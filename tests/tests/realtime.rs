@@ -7,6 +7,8 @@
     reason = "in a test, a failure to set up is a failure"
 )]
 
+#[path = "realtime/arms_on_topics.rs"]
+mod arms_on_topics;
 #[path = "realtime/by_hand.rs"]
 mod by_hand;
 #[path = "realtime/others_cameras.rs"]

@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod arm;
 mod error;
 mod events;
 mod external;
@@ -15,6 +16,7 @@ mod snapshot;
 mod tests;
 mod unfinished;
 
+pub use arm::{ArmFeedback, ArmSetpoint, AxisStop, SETPOINT_AGE_NS_MAX, arms_of};
 pub use error::TopicError;
 pub use events::Events;
 pub use external::{POLICY_CAMERAS_MAX, PolicyHello, PolicyReply, Reply, SessionHello};
@@ -35,6 +37,12 @@ pub type ChunkTopic = Topic<hal::Chunk>;
 
 /// The measured arm, from the control process to the policy process; one topic an arm.
 pub type ArmStateTopic = Topic<ArmReport>;
+
+/// What an arm in another process measures; one topic an arm, on the node of [`arms_of`].
+pub type ArmFeedbackTopic = Topic<ArmFeedback>;
+
+/// What an arm in another process is to do; one topic an arm, on the node of [`arms_of`].
+pub type ArmSetpointTopic = Topic<ArmSetpoint>;
 
 /// What the policy process should be doing; one topic a process, under the first of its arms.
 pub type RunControlTopic = Topic<RunControl>;

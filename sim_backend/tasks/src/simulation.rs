@@ -123,11 +123,7 @@ impl Simulation {
     /// Advances by one control tick, 1 ms: each arm under the setpoint that was written since the last step or, if none
     /// was, under the next point of the last one's tail.
     pub fn step(&mut self) {
-        for (arm, tail) in self.tails.iter_mut().enumerate() {
-            if let Some(setpoint) = tail.next_period() {
-                self.world.command(arm, &setpoint);
-            }
-        }
+        self.play_tails();
         self.continue_nudge();
         self.moment_ms = self.moment_ms.wrapping_add(1);
         self.world.step();
@@ -137,9 +133,19 @@ impl Simulation {
         self.judge.observe(&MonitorInput::of(&self.world));
     }
 
-    /// Advances by 1 ms before the episode begins, before the arms are commanded: nothing is judged, and the episode's time
+    /// Arms without a new setpoint play on their last one's tail.
+    fn play_tails(&mut self) {
+        for (arm, tail) in self.tails.iter_mut().enumerate() {
+            if let Some(setpoint) = tail.next_period() {
+                self.world.command(arm, &setpoint);
+            }
+        }
+    }
+
+    /// Advances by 1 ms before the episode begins, before all arms are commanded: nothing is judged, and the episode's time
     /// does not run.
     pub fn wait(&mut self) {
+        self.play_tails();
         self.moment_ms = self.moment_ms.wrapping_add(1);
         self.world.step();
     }

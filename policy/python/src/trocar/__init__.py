@@ -1,9 +1,10 @@
-"""Policies of one's own for Trocar, its tasks as Gymnasium environments, and its logs and results as tables."""
+"""Policies and arms of one's own for Trocar, its tasks as Gymnasium environments, and its logs and results as tables."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from .arms import ArmCommand, Arms, ArmState, serve_arms
 from .peer import Asked, Begins, Ended, Peer, Shown
 from .policy import ABSOLUTE, RELATIVE, Answer, Arm, Frame, Observation, Policy, PolicyError
 from .server import serve
@@ -18,6 +19,9 @@ __all__ = [
     "RELATIVE",
     "Answer",
     "Arm",
+    "ArmCommand",
+    "ArmState",
+    "Arms",
     "Asked",
     "Begins",
     "Ended",
@@ -34,6 +38,7 @@ __all__ = [
     "read_log",
     "read_results",
     "serve",
+    "serve_arms",
 ]
 
 # What needs an extra is imported when it is used.

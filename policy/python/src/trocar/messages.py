@@ -11,6 +11,7 @@ from typing import ClassVar
 
 ARM_NAMES = ("psm1", "psm2")
 JOINT_COUNT = 6
+STOP_PHASES = 3
 CHUNK_STEPS_MAX = 128
 CAMERAS_MAX = 8
 LINE_BYTES_MAX = 248
@@ -102,6 +103,61 @@ class ArmReport(Message):
         ("jaw_effort", ctypes.c_double),
         ("tip_position_m", ctypes.c_double * 3),
         ("tip_rotation_xyzw", ctypes.c_double * 4),
+    ]
+
+
+class ArmFeedback(Message):
+    """What an arm in another process measured; on the topics of ``arms_of``, like its set-points."""
+
+    NAME = "trocar/arm_feedback/1"
+    TOPIC = "feedback"
+    _fields_ = [
+        ("stamp", ctypes.c_uint64),
+        ("sequence", ctypes.c_uint64),
+        ("position", ctypes.c_double * JOINT_COUNT),
+        ("velocity", ctypes.c_double * JOINT_COUNT),
+        ("effort", ctypes.c_double * JOINT_COUNT),
+        ("jaw_position", ctypes.c_double),
+        ("jaw_velocity", ctypes.c_double),
+        ("jaw_effort", ctypes.c_double),
+        # 0, or one more than the axis whose drive has failed, 7 for the jaw.
+        ("fault", ctypes.c_uint64),
+        ("fault_code", ctypes.c_uint64),
+    ]
+
+
+class AxisStop(Message):
+    """One axis on its way to rest: a start, and phases of constant jerk; rad (m), s."""
+
+    NAME = "trocar/axis_stop/1"
+    _fields_ = [
+        ("position", ctypes.c_double),
+        ("velocity", ctypes.c_double),
+        ("acceleration", ctypes.c_double),
+        ("duration_s", ctypes.c_double * STOP_PHASES),
+        ("jerk", ctypes.c_double * STOP_PHASES),
+    ]
+
+
+class ArmSetpoint(Message):
+    """One set-point for an arm in another process, with the stop that follows if no other comes: the joints in order, then the jaw."""
+
+    NAME = "trocar/arm_setpoint/1"
+    TOPIC = "setpoint"
+    # An arm that makes up for periods that it was late for finds the set-points of then.
+    UNREAD = 64
+    _fields_ = [
+        ("stamp", ctypes.c_uint64),
+        ("sequence", ctypes.c_uint64),
+        ("position", ctypes.c_double * JOINT_COUNT),
+        ("velocity", ctypes.c_double * JOINT_COUNT),
+        ("acceleration", ctypes.c_double * JOINT_COUNT),
+        ("jaw_position", ctypes.c_double),
+        ("jaw_velocity", ctypes.c_double),
+        ("enabled", ctypes.c_uint64),
+        ("stop_stamp", ctypes.c_uint64),
+        ("stop_enabled", ctypes.c_uint64),
+        ("stop", AxisStop * (JOINT_COUNT + 1)),
     ]
 
 

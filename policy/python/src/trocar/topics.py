@@ -70,7 +70,7 @@ class Node:
         try:
             raw = service.publisher_builder().max_loaned_samples(1).create()
         except iox2.PublisherCreateError as error:
-            raise TopicError(f"topic '{topic}' can't be published: {error}; is another policy running on it?") from error
+            raise TopicError(f"topic '{topic}' can't be published: {error}; does another process publish it?") from error
         return Publisher(raw, topic, self._bell)
 
     def subscriber(self, message: type[M], arm: str) -> Subscriber[M]:

@@ -1,4 +1,4 @@
-//! The rigs: simulated arms in lockstep, simulated arms in another thread, drives on CAN; and the controller's tick in all of them.
+//! The rigs: simulated arms in lockstep, simulated arms in another thread, drives on CAN, arms on topics; and the controller's tick in all of them.
 //!
 //! A session's loop is the same for all: [`hal::Rig::exchange`], [`control`], again.
 
@@ -7,6 +7,7 @@ pub(crate) mod can_clock;
 pub(crate) mod can_traffic;
 pub(crate) mod lockstep;
 pub(crate) mod threads;
+pub(crate) mod topics;
 
 use hal::{ArmState, Chunk, Measured, PerArm, Period, Rig, Setpoint};
 use trocar_control::{AnyController, OperatorEvent, TickInput};

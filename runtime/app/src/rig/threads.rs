@@ -10,7 +10,7 @@ use crate::rt::Periodic;
 ///
 /// A drive's watchdog on a bus is of the same size (the dVRK's is 30 ms); a shared machine without a real-time kernel can
 /// take the simulation thread off its core for longer than a few periods.
-const MEASUREMENT_AGE_NS_MAX: u64 = 50_000_000;
+pub(crate) const MEASUREMENT_AGE_NS_MAX: u64 = 50_000_000;
 
 /// Simulated arms in another thread.
 pub(crate) struct ThreadsRig {
@@ -49,7 +49,7 @@ impl Rig for ThreadsRig {
 }
 
 /// The measurement, unless it is too old at `now`.
-const fn fresh(state: &ArmState, now: TimeNs) -> Measured {
+pub(crate) const fn fresh(state: &ArmState, now: TimeNs) -> Measured {
     let age_ns = now.since(state.stamp);
     if age_ns > MEASUREMENT_AGE_NS_MAX {
         Err(ArmError::MeasurementLost { age_ns })

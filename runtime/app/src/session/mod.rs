@@ -40,6 +40,7 @@ pub mod segment;
 pub mod segment_training;
 pub mod setup;
 pub mod sheet;
+pub mod simulator;
 mod snapshot_report;
 pub mod source;
 pub mod summary;

@@ -11,7 +11,7 @@ use trocar_tasks::simulation::{Rendering, Simulation};
 use super::episode::Timing;
 use super::latency::Latency;
 use super::policy_choice::PolicyChoice;
-use super::realtime::{CanOptions, PrintLine, run_on_can, run_realtime};
+use super::realtime::{CanOptions, PrintLine, TopicArms, run_on_can, run_on_topics, run_realtime};
 use super::robot::warn_of_start;
 use super::run::{RunResult, run_lockstep};
 use super::source::ChunkSource;
@@ -30,6 +30,8 @@ pub enum Backend {
     RealTime,
     /// Drives on CAN, whose world is in another process.
     Can(CanOptions),
+    /// Arms that another process leads, with their world, over topics.
+    Topics(TopicArms),
 }
 
 /// Whose arms they are: a robot's, or those of a task ([`Setup`]).
@@ -191,6 +193,7 @@ impl Plan {
             Backend::Lockstep => run_lockstep(self),
             Backend::RealTime => run_realtime(self, say),
             Backend::Can(can) => run_on_can(self, can, say),
+            Backend::Topics(arms) => run_on_topics(self, arms, say),
         }
     }
 

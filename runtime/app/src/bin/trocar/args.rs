@@ -25,6 +25,7 @@ use crate::policy::{ExternalArgs, PolicyArgs};
 use crate::record::RecordArgs;
 use crate::scene_args::SceneArgs;
 use crate::sheet::SheetArgs;
+use crate::simulator::SimulatorArgs;
 use crate::study::{ReportArgs, StudyArgs};
 use crate::train_args::TrainArgs;
 
@@ -92,7 +93,7 @@ pub(crate) struct Cli {
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Verb {
-    /// Run one episode of a task, in real time or in lockstep, or a robot on CAN without one.
+    /// Run one episode of a task, in real time or in lockstep, or a robot without one.
     #[command(
         after_help = "Example: trocar run --task needle-lift --policy expert --lockstep --seed 7 --log runs/a.mcap\n         trocar run --backend can --safety limits.toml --policy runs/act --topics cameras --seconds 30 --log runs/robot.mcap\n         trocar run --task needle-lift --policy random --console"
     )]
@@ -160,6 +161,11 @@ pub(crate) enum Verb {
         after_help = "Example: trocar drives --task needle-lift --seed 7\n         trocar drives --config runs/can.toml --fault kind=pull,node=3,at=2s --json runs/drives.json"
     )]
     Drives(DrivesArgs),
+    /// Simulate the arms of a task with their world and cameras in a process of its own, led over topics by `run --backend topics`.
+    #[command(
+        after_help = "Example: trocar simulator --task needle-lift --seed 7 --topics lab --cameras multi\n         trocar run --task needle-lift --seed 7 --policy expert --backend topics --topics lab"
+    )]
+    Simulator(SimulatorArgs),
     /// Show what this machine offers: scheduling, memory locking, CAN, GPU, shared memory.
     #[command(after_help = "Example: trocar doctor")]
     Doctor(DoctorArgs),
@@ -189,7 +195,7 @@ pub(crate) enum Verb {
         after_help = "Example: trocar monitor\n         ssh robot -t trocar monitor --run 4711"
     )]
     Monitor(MonitorArgs),
-    /// Enable the simulated arms of a run again: from DISABLED to ENABLED. Drives on CAN are enabled by a new run alone.
+    /// Enable the simulated arms of a run again: from DISABLED to ENABLED. Arms of another process, and drives on CAN, are enabled by a new run alone.
     #[command(after_help = "Example: trocar enable")]
     Enable(OperatorArgs),
     /// Disable the arms of a run: they stop, and lose torque.
@@ -247,6 +253,7 @@ impl Verb {
             Self::Replay(args) => &args.log.json,
             Self::Verify(args) => &args.log.json,
             Self::Drives(args) => &args.json,
+            Self::Simulator(args) => &args.json,
             Self::Doctor(args) => &args.json,
             Self::Status(_)
             | Self::Monitor(_)
@@ -305,6 +312,8 @@ pub(crate) enum Backend {
     Sim,
     /// Drives on CAN, such as those of `trocar drives`.
     Can,
+    /// Arms that another process leads, over topics: `trocar simulator`, a process of yours in Python or Rust.
+    Topics,
 }
 
 /// Where a network computes.
@@ -322,7 +331,7 @@ pub(crate) struct RunArgs {
     /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
     #[arg(long, value_parser = TaskParser)]
     pub(crate) task: Option<String>,
-    /// With --backend can: a robot without a task, within the limits of this file, which has the form of a task's safety.toml. There
+    /// With --backend can or topics: a robot without a task, within the limits of this file, which has the form of a task's safety.toml. There
     /// is no simulator, no scene and no verdict; cameras are those on the topics --topics. Ends with --seconds, a signal or a fault.
     #[arg(long, value_name = "FILE")]
     #[arg(conflicts_with_all = ["task", "lockstep", "scene", "needle", "view", "latency_ms", "latency_jitter_ms"])]
@@ -363,15 +372,15 @@ pub(crate) struct RunArgs {
     /// With --backend can: nodes and interfaces instead of the built-in config/can.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) can_config: Option<PathBuf>,
-    /// The name of the topics that cameras publish on: with --backend can those of the emulated scene, or with --safety of the robot, `drives` if
-    /// not given. With --backend sim the policy then sees others' frames, of `trocar cameras` or anyone, and this run draws none.
+    /// The name of the topics that cameras publish on, and with --backend topics the arms: with --backend can or topics those of the simulated scene, or
+    /// with --safety of the robot, `drives` if not given. With --backend sim the policy then sees others' frames, of `trocar cameras` or anyone, and this run draws none.
     #[arg(long, value_name = "NAME")]
     pub(crate) topics: Option<String>,
     /// Write the run's log; parent folders are made.
     #[arg(long, value_name = "FILE.mcap")]
     pub(crate) log: Option<PathBuf>,
     /// Keep no log. Without this and --log the last 256 MB of a run in real time are kept in ~/.local/state/trocar/black-box (of a service,
-    /// in its state folder), as simulation.mcap or, with --backend can, TOPICS.mcap, and the run before it beside it, as .before.mcap.
+    /// in its state folder), as simulation.mcap or, with --backend can or topics, TOPICS.mcap, and the run before it beside it, as .before.mcap.
     #[arg(long, conflicts_with = "log")]
     pub(crate) no_log: bool,
     /// What the log takes at most, MB: it keeps the last part, in FILE.mcap and, from before it, FILE.earlier.mcap.

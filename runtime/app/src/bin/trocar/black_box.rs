@@ -31,7 +31,7 @@ pub(crate) fn log_of(args: &RunArgs) -> (Option<PathBuf>, Option<u64>) {
         return (args.log.clone(), args.log_max_mb.map(|mb| mb << 20));
     }
     let name = match args.backend {
-        Backend::Can => args.topics.as_deref().unwrap_or(DEFAULT_TOPICS),
+        Backend::Can | Backend::Topics => args.topics.as_deref().unwrap_or(DEFAULT_TOPICS),
         Backend::Sim => SIMULATION,
     };
     match folder().and_then(|folder| kept(&folder, name)) {

@@ -10,7 +10,7 @@ use trocar::rt::{self, RtProfile};
 use trocar::session::changes::{Change, Changes, ConfigFile};
 use trocar::session::drives::DEFAULT_TOPICS;
 use trocar::session::plan;
-use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions};
+use trocar::session::realtime::{self, CanOptions, PolicyProcessOptions, RobotOptions, TopicArms};
 use trocar::session::run::{RunResult, write_json};
 use trocar::session::{Plan, PolicyChoice, Robot, SessionError, Setup, demo, operator, outputs};
 use trocar_control::MeasuredClearance;
@@ -130,7 +130,7 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         ("--log", args.log.as_deref()),
         ("--json", args.json.as_deref()),
     ])?;
-    let can = can_options(args)?;
+    let remote = remote_arms(args)?;
     let changes = Changes(args.set.clone());
     let real_time = RtProfile::load(&realtime_source(args.realtime.as_deref(), &changes)?)?;
     let policy = args.external.policy(&args.policy)?;
@@ -149,11 +149,10 @@ pub(crate) fn run(args: &RunArgs) -> Done {
         console::warning(&format!("no operator's verb will reach this run: {reason}"));
     }
     let result = match (&args.task, &args.safety) {
-        (Some(task), _) => run_task(task, args, chosen, can),
-        (None, Some(safety)) => run_robot(safety, args, chosen, can),
+        (Some(task), _) => run_task(task, args, chosen, remote),
+        (None, Some(safety)) => run_robot(safety, args, chosen, remote),
         (None, None) => {
-            let reason =
-                "run needs --task NAME, or for a robot without one --backend can --safety FILE";
+            let reason = "run needs --task NAME, or for a robot without one --backend can or topics and --safety FILE";
             Err(SessionError::BadArgument(reason.to_owned()))
         }
     };
@@ -177,8 +176,8 @@ pub(crate) fn run(args: &RunArgs) -> Done {
 
 /// A second eye is drawn here, where there is a simulator.
 fn check_stereo(args: &RunArgs) -> Result<(), SessionError> {
-    if args.headset.stereo && (args.backend == Backend::Can || args.topics.is_some()) {
-        let reason = "--stereo needs --backend sim without --topics: this run draws no cameras of arms on CAN, nor beside others'";
+    if args.headset.stereo && (args.backend != Backend::Sim || args.topics.is_some()) {
+        let reason = "--stereo needs --backend sim without --topics: this run draws no cameras of arms outside of it, nor beside others'";
         return Err(SessionError::BadArgument(reason.to_owned()));
     }
     Ok(())
@@ -222,7 +221,7 @@ fn planned<S>(args: &RunArgs, setup: S, chosen: Chosen) -> Plan<S> {
         log,
         log_bytes_max,
         cameras_on: args.topics.clone().filter(|_| args.backend == Backend::Sim),
-        log_frames: args.log.is_some() || args.backend == Backend::Can,
+        log_frames: args.log.is_some() || args.backend != Backend::Sim,
         latency_ms: args.latency_ms,
         latency_jitter_ms: args.latency_jitter_ms,
         compute: chosen.compute,
@@ -237,12 +236,12 @@ fn run_task(
     task: &str,
     args: &RunArgs,
     chosen: Chosen,
-    can: Option<(CanOptions, String)>,
+    remote: Option<RemoteArms>,
 ) -> Result<RunResult, SessionError> {
     let changes = Changes(args.set.clone());
     if args.lockstep {
         changes.only(&TASK_FILES)?;
-    } else if can.is_none() {
+    } else if !matches!(remote, Some(RemoteArms::Can(..))) {
         changes.only(&[
             ConfigFile::Control,
             ConfigFile::Safety,
@@ -256,11 +255,12 @@ fn run_task(
     let mut setup = args.headset.eyes(setup)?;
     warn_of_transfer(&setup);
     setup.task.time_limit_s *= chosen.policy.time_factor();
-    let backend = match can {
-        Some((can, text)) => {
+    let backend = match remote {
+        Some(RemoteArms::Can(can, text)) => {
             setup.robot.texts.can = Some(text);
             plan::Backend::Can(can)
         }
+        Some(RemoteArms::Topics(arms)) => plan::Backend::Topics(arms),
         None if args.lockstep => {
             rt::catch_interrupts().map_err(SessionError::signals)?;
             plan::Backend::Lockstep
@@ -274,10 +274,10 @@ fn run_robot(
     safety: &Path,
     args: &RunArgs,
     chosen: Chosen,
-    can: Option<(CanOptions, String)>,
+    remote: Option<RemoteArms>,
 ) -> Result<RunResult, SessionError> {
-    let Some((can, text)) = can else {
-        let reason = "--safety needs --backend can: the simulator runs tasks";
+    let Some(remote) = remote else {
+        let reason = "--safety needs --backend can or topics: the simulator runs tasks";
         return Err(SessionError::BadArgument(reason.to_owned()));
     };
     if let Some(word @ ("single" | "multi")) = args.cameras.as_deref() {
@@ -286,40 +286,63 @@ fn run_robot(
         )));
     }
     let changes = Changes(args.set.clone());
-    changes.only(&[
-        ConfigFile::Control,
-        ConfigFile::Safety,
-        ConfigFile::Can,
-        ConfigFile::Realtime,
-    ])?;
+    let mut files = vec![ConfigFile::Control, ConfigFile::Safety];
+    if matches!(remote, RemoteArms::Can(..)) {
+        files.push(ConfigFile::Can);
+    }
+    files.push(ConfigFile::Realtime);
+    changes.only(&files)?;
     let mut robot = Robot::load(safety, args.config.as_deref(), &chosen.policy, &changes)?;
-    robot.texts.can = Some(text);
     let cameras = args.cameras.iter().flat_map(|names| names.split(','));
     let asked = RobotOptions {
         seconds: args.seconds,
         cameras: cameras.map(str::to_owned).collect(),
     };
-    realtime::run_robot_on_can(&planned(args, robot, chosen), &asked, &can, &console::note)
+    match remote {
+        RemoteArms::Can(can, text) => {
+            robot.texts.can = Some(text);
+            let plan = planned(args, robot, chosen);
+            realtime::run_robot_on_can(&plan, &asked, &can, &console::note)
+        }
+        RemoteArms::Topics(arms) => {
+            let plan = planned(args, robot, chosen);
+            realtime::run_robot_on_topics(&plan, &asked, &arms, &console::note)
+        }
+    }
 }
 
-/// The arms on CAN with the text that says where they are, if that is where the arms are.
-fn can_options(args: &RunArgs) -> Result<Option<(CanOptions, String)>, SessionError> {
+/// Arms outside of this process.
+enum RemoteArms {
+    /// On CAN, with the text that says where they are.
+    Can(CanOptions, String),
+    /// On topics.
+    Topics(TopicArms),
+}
+
+/// Where the arms are, if they are not simulated here.
+fn remote_arms(args: &RunArgs) -> Result<Option<RemoteArms>, SessionError> {
+    let wrong = |reason: &str| Err(SessionError::BadArgument(reason.to_owned()));
+    let topics = args.topics.as_deref().unwrap_or(DEFAULT_TOPICS);
     match args.backend {
-        Backend::Sim => match &args.can_config {
-            None => Ok(None),
-            Some(_) => Err(SessionError::BadArgument(
-                "--can-config needs --backend can".to_owned(),
-            )),
-        },
-        Backend::Can if args.lockstep => Err(SessionError::BadArgument(
-            "--lockstep needs --backend sim: drives on a bus have a time of their own".to_owned(),
-        )),
+        Backend::Sim | Backend::Topics if args.can_config.is_some() => {
+            wrong("--can-config needs --backend can")
+        }
+        Backend::Can if args.lockstep => {
+            wrong("--lockstep needs --backend sim: drives on a bus have a time of their own")
+        }
+        Backend::Topics if args.lockstep => wrong(
+            "--lockstep needs --backend sim: arms of another process have a time of their own",
+        ),
+        Backend::Sim => Ok(None),
         Backend::Can => {
             let source = can_source(args.can_config.as_ref())?;
             let source = Changes(args.set.clone()).apply(ConfigFile::Can, source)?;
-            let topics = args.topics.as_deref().unwrap_or(DEFAULT_TOPICS);
-            CanOptions::load(&source, topics).map(Some)
+            let (can, text) = CanOptions::load(&source, topics)?;
+            Ok(Some(RemoteArms::Can(can, text)))
         }
+        Backend::Topics => Ok(Some(RemoteArms::Topics(TopicArms {
+            topics: topics.to_owned(),
+        }))),
     }
 }
 

@@ -24,6 +24,7 @@ mod run_report;
 mod scene_args;
 mod segment;
 mod sheet;
+mod simulator;
 mod study;
 mod train;
 mod train_args;
@@ -95,6 +96,7 @@ fn main() -> ExitCode {
         Verb::Replay(args) => replay::replay(args),
         Verb::Verify(args) => commands::verify(args),
         Verb::Drives(args) => drives::drives(args),
+        Verb::Simulator(args) => simulator::simulator(args),
         Verb::Doctor(args) => commands::doctor(args),
         Verb::Demo(args) => commands::demo(args),
         Verb::Anatomy(verb) => anatomy::anatomy(verb),

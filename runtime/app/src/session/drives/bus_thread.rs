@@ -43,12 +43,12 @@ const TURN_NS_MAX: u64 = 5_000_000;
 
 /// What one instant of the world looks like.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Shown {
+pub(in crate::session) struct Shown {
     /// On the system's clock.
-    pub(super) stamp: TimeNs,
-    pub(super) sequence: u64,
-    pub(super) world: WorldState,
-    pub(super) snapshot: SceneSnapshot,
+    pub(in crate::session) stamp: TimeNs,
+    pub(in crate::session) sequence: u64,
+    pub(in crate::session) world: WorldState,
+    pub(in crate::session) snapshot: SceneSnapshot,
 }
 
 /// What there is to tell.
@@ -159,7 +159,7 @@ impl Listener for Messenger {
 }
 
 /// Held by this thread: when it ends for whatever reason, so does the process.
-struct EndsAll<'a>(&'a AtomicBool);
+pub(in crate::session) struct EndsAll<'a>(pub(in crate::session) &'a AtomicBool);
 
 impl Drop for EndsAll<'_> {
     fn drop(&mut self) {

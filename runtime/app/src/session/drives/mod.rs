@@ -12,12 +12,12 @@
 //! enabled for the first time; before that nothing is judged.
 
 mod bench;
-mod bus_thread;
+pub(super) mod bus_thread;
 mod coupling;
 mod inject;
 mod page;
 mod seen;
-mod show;
+pub(super) mod show;
 mod stalls;
 mod stops;
 mod summary;
@@ -42,10 +42,10 @@ use super::{Plan, SessionError};
 use crate::console::{Console, Facts};
 use crate::mailbox::{MailboxReader, mailbox};
 use crate::rt::{self, MonotonicClock};
-use bus_thread::{BusEnd, BusThread, Notice};
+use bus_thread::{BusEnd, BusThread, Notice, Shown};
 use page::DrivesPage;
 use seen::Seen;
-use show::Show;
+use show::{Show, ShowOptions};
 
 /// Polling period of the first thread, ns; the world is shown every 40 ms.
 const POLL_NS: u64 = 5_000_000;
@@ -104,6 +104,22 @@ pub struct DrivesOptions {
     pub console: Option<Console>,
 }
 
+/// The world of `plan` and where it shows itself.
+fn open_world(
+    plan: &Plan,
+    options: &DrivesOptions,
+    shown: MailboxReader<Shown>,
+) -> Result<(Simulation, Show), SessionError> {
+    let world = Simulation::new(&plan.setup.task, plan.seed, Rendering::Off)?;
+    let to = ShowOptions {
+        topics: &options.topics,
+        cameras: options.cameras,
+        console: options.console.as_ref(),
+    };
+    let show = Show::open(plan, &to, shown, &world.snapshot())?;
+    Ok((world, show))
+}
+
 /// Runs the drives of the arms until a signal comes. `say` gets a line when they are there, when the episode begins,
 /// for whatever stops a drive, and for the verdict.
 ///
@@ -131,12 +147,11 @@ pub fn run_drives(
     let (shown_in, shown) = mailbox();
     let (notices_in, notices) = RingBuffer::new(NOTICES_MAX);
     let stop = AtomicBool::new(false);
-    let (mut simulation, mut show) = (None, None);
-    if let Moved::Task(plan) = moved {
-        let world = Simulation::new(&plan.setup.task, plan.seed, Rendering::Off)?;
-        show = Some(Show::open(plan, options, shown, &world.snapshot())?);
-        simulation = Some(world);
-    }
+    let world = match moved {
+        Moved::Task(plan) => Some(open_world(plan, options, shown)?),
+        Moved::Arms(_) => None,
+    };
+    let (simulation, show) = world.unzip();
     let (seen_in, seen) = mailbox();
     let page = show_page(moved, can, (options, seen), &names);
     let off = BusOffInjector::open(&names, &options.faults)?;

@@ -6,16 +6,26 @@ use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::Outcome;
 use trocar_topics::{Publisher, SceneReport, SceneTopic, TopicError, TopicNode};
 
-use super::DrivesOptions;
 use super::bus_thread::Shown;
+use crate::console::Console;
 use crate::mailbox::MailboxReader;
 use crate::session::published::Published;
 use crate::session::views::Views;
 use crate::session::world_report::{WorldName, report};
 use crate::session::{Plan, SessionError};
 
+/// Where a world shows itself.
+pub(in crate::session) struct ShowOptions<'a> {
+    /// Names the topics.
+    pub(in crate::session) topics: &'a str,
+    /// Whether the cameras that the setup keeps are drawn and published.
+    pub(in crate::session) cameras: bool,
+    /// Where pages see them besides.
+    pub(in crate::session) console: Option<&'a Console>,
+}
+
 /// The topics of a world.
-pub(super) struct Show {
+pub(in crate::session) struct Show {
     /// Kept for as long as the topics live.
     _node: TopicNode,
     world: WorldName,
@@ -32,18 +42,18 @@ pub(super) struct Show {
 impl Show {
     /// Opens the topics, and the renderer if there are cameras to draw; draws `start` once, since the first image takes far
     /// longer than the others.
-    pub(super) fn open(
+    pub(in crate::session) fn open(
         plan: &Plan,
-        options: &DrivesOptions,
+        options: &ShowOptions<'_>,
         shown: MailboxReader<Shown>,
         start: &SceneSnapshot,
     ) -> Result<Self, SessionError> {
         let setup = &plan.setup;
-        let node = TopicNode::join(&options.topics)?;
+        let node = TopicNode::join(options.topics)?;
         let scene = SceneTopic::publisher(&node, ARM_NAMES[0]).map_err(|error| {
             if matches!(error, TopicError::AlreadyPublished { .. }) {
                 return SessionError::BadArgument(format!(
-                    "--topics {}: another `trocar drives` shows its scene there",
+                    "--topics {}: another simulated world shows its scene there",
                     options.topics
                 ));
             }
@@ -78,7 +88,10 @@ impl Show {
     }
 
     /// Publishes the newest instant, if there is a new one, and says the verdict once.
-    pub(super) fn turn(&mut self, say: &mut dyn FnMut(&str)) -> Result<(), SessionError> {
+    pub(in crate::session) fn turn(
+        &mut self,
+        say: &mut dyn FnMut(&str),
+    ) -> Result<(), SessionError> {
         let Some(shown) = self.shown.take() else {
             self.scene.keep_alive()?;
             for view in &self.views {
@@ -142,10 +155,10 @@ impl Show {
 /// The scene of the drives, for the pages of a console if there is one.
 fn show_scene(
     plan: &Plan,
-    options: &DrivesOptions,
+    options: &ShowOptions<'_>,
     start: &SceneSnapshot,
 ) -> Result<Option<Views>, SessionError> {
-    let Some(console) = &options.console else {
+    let Some(console) = options.console else {
         return Ok(None);
     };
     let setup = &plan.setup;

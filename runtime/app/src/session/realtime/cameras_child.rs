@@ -7,8 +7,8 @@ use trocar_topics::{CamerasStatus, CamerasStatusTopic, Events, RunControlTopic, 
 
 use super::cameras_process::CAMERAS;
 use super::child_process::{ChildProcess, Spawned};
-use super::on_can::PrintLine;
 use super::policy_process::FIRST_ARM;
+use super::remote_arms::PrintLine;
 use super::supervisor::{Remote, await_ready};
 use crate::rt::{self, MonotonicClock};
 use crate::session::changes::ConfigFile;

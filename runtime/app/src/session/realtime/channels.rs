@@ -6,7 +6,7 @@ use hal::{ArmState, Chunk, PerArm};
 use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_log::{LogFile, Recorder, SideLog, TickLog};
 
-use super::on_can::CanEventLog;
+use super::remote_arms::CanEventLog;
 use super::signals::Signals;
 use super::{CHUNK_QUEUE, listen, split};
 use crate::console::Console;

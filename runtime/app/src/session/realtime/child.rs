@@ -14,8 +14,8 @@ use trocar_topics::{
 
 use super::arm_chunks::ArmChunks;
 use super::child_process::{ChildProcess, Spawned};
-use super::on_can::PrintLine;
 use super::policy_process::FIRST_ARM;
+use super::remote_arms::PrintLine;
 use super::supervisor::{Remote, await_ready};
 use crate::rt::{self, MonotonicClock};
 use crate::session::external::{ExternalChoice, ExternalLink, LOOK_NS};

@@ -6,7 +6,7 @@ use trocar_topics::{CameraTopic, FrameSubscriber, FrameView, TopicNode};
 
 use super::cameras_child::CamerasChild;
 use super::cameras_process::for_console;
-use super::on_can::Camera;
+use super::remote_arms::Camera;
 use super::signals::{EndRunOnDrop, HoldCause, Signals};
 use super::supervisor::Supervisor;
 use crate::console::{FramePlanes, FrameTap};

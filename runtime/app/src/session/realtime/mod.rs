@@ -36,9 +36,9 @@ mod frames_thread;
 mod hold;
 pub(super) mod observed;
 mod observers;
-mod on_can;
 mod opened;
 mod policy_process;
+mod remote_arms;
 mod robot;
 mod scene_topics;
 mod shown;
@@ -58,9 +58,13 @@ use trocar_tasks::simulation::{Rendering, Simulation};
 use trocar_tasks::task::Outcome;
 
 pub use cameras_process::{CamerasOptions, serve_cameras};
-pub use on_can::{CanOptions, PrintLine, run_on_can, run_robot_on_can};
 pub use policy_process::{PolicyProcessOptions, serve_policy};
+pub use remote_arms::{
+    CanOptions, PrintLine, TopicArms, run_on_can, run_on_topics, run_robot_on_can,
+    run_robot_on_topics,
+};
 pub use robot::{RobotOptions, run_rig};
+pub(super) use simulation_thread::is_due;
 
 use super::PolicyChoice;
 use super::ended::Ended;
@@ -81,8 +85,8 @@ use ended::closed;
 use frames_thread::FramesEnd;
 use hal::PerArm;
 use observers::Observers;
-use on_can::FRAMES_WITHIN_MS;
 use opened::Opened;
+use remote_arms::FRAMES_WITHIN_MS;
 use shown::show_task;
 use signals::{Moving, Signals};
 use simulation_thread::{SimulationEnd, SimulationThread};

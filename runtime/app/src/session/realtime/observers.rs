@@ -13,7 +13,7 @@ use super::cameras::{Cameras, Stage};
 use super::channels::ObserverChannels;
 use super::child::PolicyChild;
 use super::frames_thread::{FramesEnd, FramesThread};
-use super::on_can::{Camera, CanEventLog, arm_reports};
+use super::remote_arms::{Camera, CanEventLog, arm_reports};
 use super::robot::{RobotOptions, RobotThread};
 use super::scene_topics::{SceneForPages, Snapshot};
 use super::signals::Signals;

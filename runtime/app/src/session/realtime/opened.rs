@@ -6,7 +6,7 @@ use tch::Device;
 use trocar_nets::loaded_policy::LoadedPolicy;
 
 use super::child::{Outside, PolicyChild, check_cameras};
-use super::on_can::PrintLine;
+use super::remote_arms::PrintLine;
 use crate::session::external::{About, ExternalLink, check_wanted};
 use crate::session::plan::Arms;
 use crate::session::source::{ChunkSource, camera_names};

@@ -344,7 +344,7 @@ fn firsts(chunks: &PerArm<Chunk>) -> Option<PerArm<TipTarget>> {
 ///
 /// A thread that makes up for missed milliseconds does not move the arm before its time. The step that is not behind
 /// takes whatever there is.
-const fn is_due(stamp: TimeNs, late: u64, now: TimeNs) -> bool {
+pub(in crate::session) const fn is_due(stamp: TimeNs, late: u64, now: TimeNs) -> bool {
     late == 0 || stamp.0 <= now.0
 }
 

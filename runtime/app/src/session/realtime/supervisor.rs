@@ -8,7 +8,7 @@ use trocar_control::Supervision;
 use trocar_log::Level;
 use trocar_topics::Events;
 
-use super::on_can::{PATIENCE_NS, PrintLine};
+use super::remote_arms::{PATIENCE_NS, PrintLine};
 use super::signals::{HoldCause, Signals};
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;

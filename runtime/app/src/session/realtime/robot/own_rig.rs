@@ -8,7 +8,7 @@ use super::super::channels::{ControlChannels, ThreadChannels};
 use super::super::control_thread::ControlThread;
 use super::super::drivers::Drivers;
 use super::super::ended::closed;
-use super::super::on_can::Camera;
+use super::super::remote_arms::Camera;
 use super::super::shown::show_rig;
 use super::super::signals::Moving;
 use super::super::threads;

@@ -8,7 +8,7 @@ use trocar_topics::{ArmReport, Events, Publisher};
 
 use super::super::channels::{Local, ObserverChannels};
 use super::super::frames_thread::show_view;
-use super::super::on_can::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
+use super::super::remote_arms::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
 use super::super::signals::EndRunOnDrop;
 use super::RobotOptions;
 use super::sight::{CameraMonitor, Rules};

@@ -1,18 +1,15 @@
-//! The end of a run over CAN: why it ended, and what it adds up to.
+//! The end of a run of arms outside of this process: why it ended, and what it adds up to.
 
 use trocar_log::LogFile;
 use trocar_topics::Verdict;
 
-use super::super::control_thread::ControlEnd;
 use super::super::ended::closed;
 use super::super::robot::{RobotEnd, robot_ended};
 use super::super::threads::Ends;
 use super::super::watch::Watched;
-use super::CanOptions;
+use super::ArmLink;
 use super::scene_thread::SceneEnd;
-use super::summary::summary;
 use crate::histogram::Histogram;
-use crate::rig::can::CanRig;
 use crate::session::ended::Ended;
 use crate::session::plan::Arms;
 use crate::session::run::RunResult;
@@ -21,29 +18,19 @@ use crate::session::{Plan, SessionError};
 /// What an observing thread leaves behind.
 pub(super) trait Seen {
     /// Why the run ended, if nothing else ended it before.
-    fn ended(&self, watched: &Watched, control: &ControlEnd<CanRig>) -> Ended;
+    fn ended(&self, watched: &Watched, fault: Option<String>) -> Ended;
 
     /// How long the local policy took for its chunks.
     fn inference(&self) -> &Histogram;
 }
 
-/// What the drives or the controller report, if one of them ended the run.
-fn fault(control: &ControlEnd<CanRig>) -> Option<String> {
-    let faults = control.rig.fault_texts();
-    if faults.is_empty() {
-        control.tally.faults()
-    } else {
-        Some(format!("fault: {}", faults.join("; ")))
-    }
-}
-
 impl Seen for SceneEnd {
-    fn ended(&self, watched: &Watched, control: &ControlEnd<CanRig>) -> Ended {
+    fn ended(&self, watched: &Watched, fault: Option<String>) -> Ended {
         let success = self.verdict == Verdict::Success;
         let reason = if success {
             "success".to_owned()
         } else {
-            let before = watched.ended_by.clone().or_else(|| fault(control));
+            let before = watched.ended_by.clone().or(fault);
             before.unwrap_or_else(|| self.reason.clone())
         };
         Ended::task(success, reason, self.tissue)
@@ -55,8 +42,8 @@ impl Seen for SceneEnd {
 }
 
 impl Seen for RobotEnd {
-    fn ended(&self, watched: &Watched, control: &ControlEnd<CanRig>) -> Ended {
-        robot_ended(self, watched, fault(control))
+    fn ended(&self, watched: &Watched, fault: Option<String>) -> Ended {
+        robot_ended(self, watched, fault)
     }
 
     fn inference(&self) -> &Histogram {
@@ -65,11 +52,11 @@ impl Seen for RobotEnd {
 }
 
 /// Closes the log, whatever happened, and sums up.
-pub(super) fn conclude<S: Arms, T: Seen>(
+pub(super) fn conclude<S: Arms, T: Seen, L: ArmLink>(
     plan: &Plan<S>,
-    ends: Ends<CanRig, T>,
+    ends: Ends<L::Rig, T>,
     log: Option<LogFile>,
-    can: &CanOptions,
+    link: &L,
 ) -> Result<RunResult, SessionError> {
     let Ends {
         control,
@@ -97,11 +84,13 @@ pub(super) fn conclude<S: Arms, T: Seen>(
             return Err(error);
         }
     };
-    let ended = seen.ended(&watched, &control);
+    // What the arms or the controller report, if one of them ended the run.
+    let fault = L::fault(&control.rig).or_else(|| control.tally.faults());
+    let ended = seen.ended(&watched, fault);
     control.tally.inferences(&watched.inference);
     control.tally.restarts(watched.restarts);
     control.tally.inferences(seen.inference());
     let mut result = closed(plan, &control, &ended, log);
-    result.summary.can = Some(summary(&control.rig, can));
+    result.summary.can = link.summary(&control.rig);
     Ok(result)
 }

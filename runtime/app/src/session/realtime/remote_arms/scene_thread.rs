@@ -1,4 +1,4 @@
-//! The world of arms on CAN, which is in another process: its scene for the local policies, the arms' states for a policy
+//! The world of arms in another process: its scene for the local policies, the arms' states for a policy
 //! process, its frames for the log, and its verdict.
 
 use std::sync::Arc;

@@ -1,34 +1,32 @@
-//! A real-time run of arms on CAN: the same controller, with drives on buses as its arms.
+//! A real-time run of arms outside of this process: the same controller, with drives on CAN or whoever is on the topics as its arms.
 //!
 //! ```text
-//!  buses <── SYNC, set-points, answers ──> control thread (1 kHz, SCHED_FIFO) ── ticks ──> log thread
+//!  arms <── set-points, measurements ──> control thread (1 kHz, SCHED_FIFO) ── ticks ──> log thread
 //!                                            ▲ chunks       │ measured, faults
 //!                                            │              ▼
 //!  topics ── frames; scene, verdict ──> observing thread ── arm ──> policy process ── chunks ──> first thread
 //!      └── frames ────────────────────────────────────────────────────▲
 //! ```
 //!
-//! Of a task, the world is in another process (`trocar drives`), which shows its scene and its verdict: [`run_on_can`]. A robot has
-//! none: [`run_robot_on_can`] needs limits, drives and, if its policy looks at some, cameras on topics, whoever publishes them.
+//! Of a task, the world is in another process (`trocar drives`, `trocar simulator`), which shows its scene and its verdict: [`run_on_can`], [`run_on_topics`]. A robot has
+//! none: [`run_robot_on_can`] and [`run_robot_on_topics`] need limits, arms and, if its policy looks at some, cameras on topics, whoever publishes them.
 //!
-//! What is waited for before the drives get torque is named on the terminal, and not for ever. The bring-up ends in the control
-//! thread, which must not let the SYNC stop from then on. A fault of any drive or bus stops all drives of its arm and ends the run;
-//! nothing enables them again but a new run.
+//! What is waited for before the arms get torque is named on the terminal, and not for ever. How they are reached is an [`ArmLink`]: [`can`] or
+//! [`topics`]. A fault of any ends the run; nothing enables them again but a new run.
 
 mod awaited;
 mod bring_up;
+mod can;
 mod conclude;
 mod happened;
 mod scene_thread;
 mod summary;
+mod topics;
 
 use std::sync::Arc;
 
-use hal::config::Source;
-use hal::{ARM_NAMES, TICK_NS};
-use trocar_canopen::master::{BringUpError, CanConfig, Permission, enable_together};
-use trocar_canopen::socket::SocketBus;
-use trocar_topics::{ArmReport, Publisher, SceneTopic, TopicNode};
+use hal::{ARM_NAMES, Rig};
+use trocar_topics::{ArmReport, Publisher, SceneReport, SceneTopic, Subscriber, TopicNode};
 
 use super::channels::{ControlChannels, Local, ObserverChannels, ThreadChannels};
 use super::child::Outside;
@@ -37,89 +35,128 @@ use super::drivers::Drivers;
 use super::opened::Opened;
 use super::robot::{RobotOptions, RobotThread, check_faults};
 use super::shown::show_rig;
-use super::signals::{Moving, StopsAll};
+use super::signals::{Moving, Signals, StopsAll};
 use super::threads::{self, wired};
+use crate::mailbox::MailboxWriter;
 use crate::rig::ObservedRig;
-use crate::rig::can::CanRig;
-use crate::rig::can_clock::CanClock;
-use crate::rt::{self, Held, MonotonicClock, Periodic, RtOptions};
-use crate::session::can_interfaces;
+use crate::rig::can::Noticed;
+use crate::rt::{self, Held, MonotonicClock, RtOptions};
 use crate::session::plan::Arms;
 use crate::session::run::RunResult;
+use crate::session::summary::CanSummary;
 use crate::session::{Plan, Robot, SessionError};
-use bring_up::{ReadyArm, bring_up, check, check_world, failed, uninterrupted};
+use bring_up::{check_world, uninterrupted};
 use conclude::{Seen, conclude};
-use hal::PerArm;
 use scene_thread::{SceneThread, frames};
 use trocar_control::AnyController;
 
 pub use awaited::PrintLine;
 pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS, Wanted, cameras};
+pub use can::CanOptions;
 pub(super) use happened::CanEventLog;
 pub(super) use scene_thread::{arm_reports, logged, seen_at};
+pub use topics::TopicArms;
 
 /// How far a frame may be from the instant of an observation where cameras have clocks of their own, ms: a policy step.
 pub(super) const FRAMES_WITHIN_MS: u64 = 40;
 
-/// Where the arms are and where their world, or their cameras, show themselves.
-#[derive(Clone, Debug)]
-pub struct CanOptions {
-    /// Nodes and buses.
-    pub config: CanConfig,
-    /// The name of the topics of the world, or of the cameras.
-    pub topics: String,
-}
+/// How a run reaches arms outside of its process.
+pub(super) trait ArmLink: Sync {
+    /// The way to the arms, before anything is heard of them.
+    type Opened;
+    /// The arms, of which it is known where they are, without torque.
+    type Ready: Send;
+    /// The arms as the control thread has them.
+    type Rig: Rig + Send;
 
-impl CanOptions {
-    /// Reads nodes and buses from `source`; also gives their text, for the log.
+    /// Names the topics of the world, or of the cameras.
+    fn topics(&self) -> &str;
+
+    /// The program that leads simulated arms which are reached so.
+    fn host(&self) -> &'static str;
+
+    /// Opens the way to the arms of `robot`, after what can be known to be wrong without it.
     ///
     /// # Errors
-    /// [`SessionError::Config`].
-    pub fn load(source: &Source, topics: &str) -> Result<(Self, String), SessionError> {
-        let options = Self {
-            config: CanConfig::load(source)?,
-            topics: topics.to_owned(),
-        };
-        Ok((options, source.text().to_owned()))
-    }
+    /// [`SessionError`].
+    fn open(&self, robot: &Robot, clock: MonotonicClock) -> Result<Self::Opened, SessionError>;
 
     /// The interfaces of the first `arms` arms, each once, and their bit rate, bit/s.
-    fn buses(&self, arms: usize) -> (Vec<String>, u32) {
-        let arms = self.config.arms.iter().take(arms);
-        let rate = arms.clone().map(|arm| arm.plan.bit_rate).max();
-        let mut interfaces: Vec<String> = arms.flat_map(|arm| arm.interfaces.clone()).collect();
-        interfaces.sort_unstable();
-        interfaces.dedup();
-        (interfaces, rate.unwrap_or(0))
+    fn buses(&self, _arms: usize) -> (Vec<String>, u32) {
+        (Vec::new(), 0)
+    }
+
+    /// Leads the arms to where they may be enabled, and says what it is at if that takes long.
+    ///
+    /// # Errors
+    /// [`SessionError`], if one of them is not there or reports a fault.
+    fn bring_up(
+        &self,
+        opened: Self::Opened,
+        clock: MonotonicClock,
+        say: PrintLine<'_>,
+    ) -> Result<Self::Ready, SessionError>;
+
+    /// Waits, if it has to, until the world on `scene` has seen that its arms are ours.
+    ///
+    /// # Errors
+    /// [`SessionError::RealTime`] if they are another's.
+    fn await_world(
+        &self,
+        _scene: &Subscriber<SceneReport>,
+        _clock: MonotonicClock,
+        _say: PrintLine<'_>,
+    ) -> Result<(), SessionError> {
+        Ok(())
+    }
+
+    /// Gives the arms torque, where that is not the controller's to give, as soon as `signals` allow it: the rig of the control thread, which calls this.
+    ///
+    /// # Errors
+    /// [`SessionError`]; [`SessionError::Interrupted`] if the run is over before.
+    fn enable(
+        &self,
+        ready: Self::Ready,
+        noticed: MailboxWriter<Noticed>,
+        signals: &Signals,
+        clock: MonotonicClock,
+    ) -> Result<Self::Rig, SessionError>;
+
+    /// Leaves the arms, which rest, without torque.
+    fn take_down(rig: &mut Self::Rig, clock: MonotonicClock);
+
+    /// What the arms or the way to them report, if something ended the run that the controller does not know.
+    fn fault(rig: &Self::Rig) -> Option<String>;
+
+    /// What the result says of drives and buses.
+    fn summary(&self, _rig: &Self::Rig) -> Option<CanSummary> {
+        None
     }
 }
 
 /// What there is before anything is waited for.
-struct Begun<'a> {
-    can: &'a CanOptions,
+struct Begun<'a, L: ArmLink> {
+    link: &'a L,
+    opened: L::Opened,
     clock: MonotonicClock,
-    buses: Vec<SocketBus<CanClock>>,
     node: TopicNode,
     say: PrintLine<'a>,
 }
 
-/// Opens the buses of the arms and joins the topics of their world, or of their cameras.
-fn begin<'a>(
+/// Joins the topics of the arms' world, or of their cameras.
+fn begin<'a, L: ArmLink>(
     robot: &Robot,
-    can: &'a CanOptions,
+    link: &'a L,
     say: PrintLine<'a>,
-) -> Result<Begun<'a>, SessionError> {
-    check(&robot.name, robot.arms(), &can.config)?;
+) -> Result<Begun<'a, L>, SessionError> {
     check_faults(robot)?;
-    let clock = MonotonicClock::new();
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
-    let arms = can.config.arms.iter().take(robot.arms());
-    let buses = arms.map(|arm| can_interfaces::open(&arm.interfaces, clock));
+    let clock = MonotonicClock::new();
     Ok(Begun {
-        can,
+        link,
+        opened: link.open(robot, clock)?,
         clock,
-        buses: buses.collect::<Result<_, _>>()?,
-        node: TopicNode::join(&can.topics)?,
+        node: TopicNode::join(link.topics())?,
         say,
     })
 }
@@ -135,12 +172,33 @@ pub fn run_on_can(
     can: &CanOptions,
     say: PrintLine<'_>,
 ) -> Result<RunResult, SessionError> {
-    let begun = begin(&plan.setup.robot, can, say)?;
+    run_task(plan, can, say)
+}
+
+/// The same with arms that another process leads, over topics.
+///
+/// # Errors
+/// From the configuration, the topics of arms and world, the policy or the log.
+pub fn run_on_topics(
+    plan: &Plan,
+    arms: &TopicArms,
+    say: PrintLine<'_>,
+) -> Result<RunResult, SessionError> {
+    run_task(plan, arms, say)
+}
+
+fn run_task<L: ArmLink>(
+    plan: &Plan,
+    link: &L,
+    say: PrintLine<'_>,
+) -> Result<RunResult, SessionError> {
+    let begun = begin(&plan.setup.robot, link, say)?;
     let scene = SceneTopic::subscriber(&begun.node, ARM_NAMES[0])?;
-    let world = awaited::world(&scene, &can.topics, say)?;
-    check_world(&world, plan, &can.topics)?;
+    let at = (link.topics(), link.host());
+    let world = awaited::world(&scene, at, say)?;
+    check_world(&world, plan, at)?;
     begun.run(plan, 0, &[], |node, watching| {
-        awaited::stopped(&scene, watching.seen.clock, &can.topics, say)?;
+        link.await_world(&scene, watching.seen.clock, say)?;
         let names = plan.setup.cameras_with(Vec::new());
         let logged = if watching.seen.log.is_some() {
             names
@@ -172,7 +230,29 @@ pub fn run_robot_on_can(
     can: &CanOptions,
     say: PrintLine<'_>,
 ) -> Result<RunResult, SessionError> {
-    let begun = begin(&plan.setup, can, say)?;
+    run_robot(plan, asked, can, say)
+}
+
+/// The same of a robot that another process leads, over topics.
+///
+/// # Errors
+/// From the configuration, the topics, the policy or the log.
+pub fn run_robot_on_topics(
+    plan: &Plan<Robot>,
+    asked: &RobotOptions,
+    arms: &TopicArms,
+    say: PrintLine<'_>,
+) -> Result<RunResult, SessionError> {
+    run_robot(plan, asked, arms, say)
+}
+
+fn run_robot<L: ArmLink>(
+    plan: &Plan<Robot>,
+    asked: &RobotOptions,
+    link: &L,
+    say: PrintLine<'_>,
+) -> Result<RunResult, SessionError> {
+    let begun = begin(&plan.setup, link, say)?;
     begun.run(plan, FRAMES_WITHIN_MS, &asked.cameras, |node, watching| {
         let Watching {
             seen,
@@ -199,8 +279,8 @@ struct Watching {
     cameras: (Vec<Camera>, usize),
 }
 
-impl Begun<'_> {
-    /// Waits for the policy, its cameras and those called `asked`, brings up the drives, and runs all threads; `watch` makes the one
+impl<L: ArmLink> Begun<'_, L> {
+    /// Waits for the policy, its cameras and those called `asked`, brings up the arms, and runs all threads; `watch` makes the one
     /// that observes the arms. Frames may be `within_ms` from the instant of an observation.
     fn run<S: Arms, T: Seen + Send, F: FnOnce() -> Result<T, SessionError> + Send>(
         self,
@@ -210,9 +290,9 @@ impl Begun<'_> {
         watch: impl FnOnce(&TopicNode, Watching) -> Result<F, SessionError>,
     ) -> Result<RunResult, SessionError> {
         plan.real_time.check()?;
-        let (can, clock, node, say) = (self.can, self.clock, self.node, self.say);
+        let (link, clock, node, say) = (self.link, self.clock, self.node, self.say);
         let outside = Outside {
-            topics: &can.topics,
+            topics: link.topics(),
             frames_within_ms: within_ms,
         };
         let policy = Opened::open(plan, Some(&outside))?;
@@ -223,17 +303,17 @@ impl Begun<'_> {
                 wanted.push((name.clone(), None));
             }
         }
-        let publisher = "`trocar drives --cameras NAME` of a simulated world";
-        let topics = (can.topics.as_str(), publisher);
+        let publisher = format!("`{} --cameras NAME` of a simulated world", link.host());
+        let topics = (link.topics(), publisher.as_str());
         let mut cameras = awaited::cameras(&node, &wanted, clock, topics, (say, &mut || Ok(())))?;
         let (mut child, source) = policy.start(plan, outside, say)?;
-        let ready = bring_up(can, self.buses, say)?;
-        awaited::still_there(&mut cameras, clock, &can.topics, say)?;
+        let robot = plan.setup.robot();
+        let ready = link.bring_up(self.opened, clock, say)?;
+        awaited::still_there(&mut cameras, clock, link.topics(), say)?;
         let mut channels =
             ThreadChannels::new((plan.open_log(false)?, plan.console.as_ref()), clock);
-        let robot = plan.setup.robot();
         let port = (channels.listener.as_ref(), &mut channels.control.operator);
-        show_rig(plan, can.buses(robot.arms()), port);
+        show_rig(plan, link.buses(robot.arms()), port);
         let reports = arm_reports(&node, robot.arms(), child.is_some())?;
         let (local, remote) = wired(plan, source, child.as_mut(), channels.chunk_in, clock);
         let watching = Watching {
@@ -244,7 +324,7 @@ impl Begun<'_> {
         };
         let observe = watch(&node, watching)?;
         let enabling = Enabling {
-            can,
+            link,
             say,
             ready,
             controller: robot.controller()?,
@@ -256,15 +336,15 @@ impl Begun<'_> {
         let signals = Arc::clone(&enabling.channels.signals);
         let served = (&*signals, channels.listener.as_ref());
         let ends = threads::run(remote, served, || enabling.run(), observe);
-        conclude(plan, ends, channels.log, can)
+        conclude(plan, ends, channels.log, link)
     }
 }
 
 /// The control thread before its arms have torque.
-struct Enabling<'a> {
-    can: &'a CanOptions,
+struct Enabling<'a, L: ArmLink> {
+    link: &'a L,
     say: PrintLine<'a>,
-    ready: Vec<ReadyArm>,
+    ready: L::Ready,
     controller: AnyController,
     channels: ControlChannels,
     profile: RtOptions,
@@ -272,9 +352,9 @@ struct Enabling<'a> {
     held: Held,
 }
 
-impl Enabling<'_> {
-    /// Enables all drives and controls them until the run is over, which leaves them without torque.
-    fn run(self) -> Result<ControlEnd<CanRig>, SessionError> {
+impl<L: ArmLink> Enabling<'_, L> {
+    /// Enables all arms and controls them until the run is over, which leaves them without torque.
+    fn run(self) -> Result<ControlEnd<L::Rig>, SessionError> {
         let ControlChannels {
             measured,
             noticed,
@@ -284,39 +364,20 @@ impl Enabling<'_> {
             operator,
             clock,
         } = self.channels;
-        // Until the drives are taken down.
+        // Until the arms are taken down.
         let _moving = Moving;
         let _stops = StopsAll(&signals);
         uninterrupted()?;
         if signals.done() {
             return Err(SessionError::Interrupted);
         }
-        // From here on the drives want their SYNC in time; the loop reports what was granted.
+        // From here on drives want their SYNC in time; the loop reports what was granted.
         let _granted = rt::configure_thread(&self.profile);
-        (self.say)("checking the drives once more; they are enabled when all answer");
-        let arms = enable_together(self.ready, &mut || {
-            if signals.done() || rt::interrupted() {
-                Permission::Denied
-            } else if signals.torque_allowed() {
-                Permission::Granted
-            } else {
-                Permission::Pending
-            }
-        });
-        let arms = arms.map_err(|(arm, error)| {
-            if error == BringUpError::Denied {
-                return SessionError::Interrupted;
-            }
-            failed(self.can, arm, &error)
-        })?;
-        let Some(arms) = PerArm::collect(arms) else {
-            return Err(SessionError::BadArgument("there is no arm".to_owned()));
-        };
-        // The SYNC goes on at once.
-        let periodic = Periodic::new(clock, clock.now().plus_ns(TICK_NS), TICK_NS);
+        (self.say)("checking the arms once more; they are enabled when all answer");
+        let rig = self.link.enable(self.ready, noticed, &signals, clock)?;
         let control = ControlThread {
             controller: self.controller,
-            rig: ObservedRig::new(CanRig::new(arms, noticed, periodic), measured),
+            rig: ObservedRig::new(rig, measured),
             drivers: Drivers::new(chunks, None),
             log,
             signals: Arc::clone(&signals),
@@ -327,7 +388,7 @@ impl Enabling<'_> {
             held: self.held,
         };
         let mut end = control.run(clock).with_rig(|observed| observed.rig);
-        end.rig.take_down(clock);
+        L::take_down(&mut end.rig, clock);
         Ok(end)
     }
 }

@@ -28,7 +28,7 @@ impl CanStatus {
     }
 }
 
-/// Changes of it for the log.
+/// Changes of the arms' [`CanStatus`], for the log.
 pub(in super::super) struct CanEventLog {
     noticed: MailboxReader<Noticed>,
     /// What of it is in the log.

@@ -11,8 +11,8 @@ use trocar_canopen::master::{ArmPlan, BringUpError, CanConfig, Homed, Offline, S
 use trocar_canopen::socket::SocketBus;
 use trocar_topics::{SceneReport, Verdict};
 
-use super::CanOptions;
 use super::awaited::{PATIENCE_NS, PrintLine};
+use super::can::CanOptions;
 use crate::rig::can_clock::CanClock;
 use crate::rt::{self, MonotonicClock};
 use crate::session::{Plan, SessionError};
@@ -47,7 +47,7 @@ pub(super) fn check(whose: &str, count: usize, can: &CanConfig) -> Result<(), Se
 pub(super) fn check_world(
     world: &SceneReport,
     plan: &Plan,
-    topics: &str,
+    (topics, host): (&str, &str),
 ) -> Result<(), SessionError> {
     let (task, seed) = (world.task.text(), world.seed);
     let ours = plan.world_name();
@@ -60,14 +60,14 @@ pub(super) fn check_world(
     if world.scene_hash != ours.scene_hash {
         return Err(SessionError::BadArgument(format!(
             "the world on topics {topics:?} has another scene than this run: --scene, --needle, --view and --set scene.KEY must be the \
-             same for `trocar drives` and `trocar run`"
+             same for `{host}` and `trocar run`"
         )));
     }
     match world.verdict() {
         Verdict::Waiting | Verdict::Operational => Ok(()),
         Verdict::Running | Verdict::Success | Verdict::Failure | Verdict::Invalid => {
             Err(SessionError::RealTime(format!(
-                "the episode of the world on topics {topics:?} has begun already: start `trocar drives` anew"
+                "the episode of the world on topics {topics:?} has begun already: start `{host}` anew"
             )))
         }
     }
@@ -238,7 +238,9 @@ mod tests {
             code: SceneReport::code_of(Verdict::Waiting),
             ..SceneReport::default()
         };
-        let refused = |plan: &Plan| check_world(&world, plan, "lab").map_err(|it| it.to_string());
+        let refused = |plan: &Plan| {
+            check_world(&world, plan, ("lab", "trocar drives")).map_err(|it| it.to_string())
+        };
         assert_eq!(refused(&plan(3, &[], &as_shipped)), Ok(()));
         let limits = plan(3, &["control.policy.restarts=1"], &as_shipped);
         assert_eq!(refused(&limits), Ok(()), "the controller is the run's own");

@@ -1,4 +1,4 @@
-//! What a run over CAN waits for before any drive gets torque: named on the terminal within a second, and not for ever.
+//! What a run of arms outside of this process waits for before any of them gets torque: named on the terminal within a second, and not for ever.
 
 use trocar_topics::{CameraTopic, FrameSubscriber, SceneReport, Subscriber, TopicNode, Verdict};
 
@@ -33,7 +33,7 @@ const POLL_NS: u64 = 1_000_000;
 pub type PrintLine<'a> = &'a (dyn Fn(&str) + Sync);
 
 /// Looks until there is something, for `limit_ns` at most; `lacking` says what was not there, and what would help.
-fn await_it<T>(
+pub(super) fn await_it<T>(
     what: &str,
     lacking: &str,
     limit_ns: u64,
@@ -62,12 +62,12 @@ fn await_it<T>(
 /// Waits for the first sight of the world.
 pub(super) fn world(
     scene: &Subscriber<SceneReport>,
-    topics: &str,
+    (topics, host): (&str, &str),
     say: PrintLine<'_>,
 ) -> Result<SceneReport, SessionError> {
     let what = format!("a world on topics {topics:?}");
     let lacking = format!(
-        "no publisher of a scene on topics {topics:?}: start `trocar drives` first, or name its topics with --topics"
+        "no publisher of a scene on topics {topics:?}: start `{host}` first, or name its topics with --topics"
     );
     await_it(&what, &lacking, WORLD_NS_MAX, say, || Ok(scene.newest()?))
 }

@@ -1,0 +1,300 @@
+//! `run --backend topics`: a controller and the arms that it leads are two processes, each of which may die.
+
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+
+use hal::{ARM_NAMES, ArmCommand};
+use tests::{Profile, alone, json, repository, scratch, stderr, trocar};
+use trocar_log::replay::replay;
+use trocar_log::{LoggedArm, RunLog};
+use trocar_topics::{
+    ArmFeedback, ArmFeedbackTopic, ArmSetpointTopic, Subscriber, TopicNode, arms_of,
+};
+
+use super::{
+    CHECKPOINT, MS_NS, checked_log, expect_a_stop, expect_nothing_left, moves, send, sleep_ns,
+    until,
+};
+
+/// `trocar simulator`, ended with the test.
+struct Simulator {
+    process: Child,
+    topics: String,
+    result: PathBuf,
+}
+
+impl Simulator {
+    fn start(test: &str, task: &str, more: &[&str]) -> Self {
+        let topics = format!("test-{}-{test}", std::process::id());
+        let result = scratch(test).join("simulator.json");
+        let process = trocar(Profile::Debug)
+            .args(["simulator", "--task", task, "--topics", &topics])
+            .args(more)
+            .arg("--json")
+            .arg(&result)
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        Self {
+            process,
+            topics,
+            result,
+        }
+    }
+
+    /// The controller's process.
+    fn run(&self, what: &[&str]) -> Command {
+        let mut command = trocar(Profile::Debug);
+        command
+            .args(["run", "--backend", "topics", "--topics", &self.topics])
+            .args(what)
+            .stdout(Stdio::null());
+        command
+    }
+
+    /// What the arm `name` measures.
+    fn feedback(&self, name: &str) -> Watch {
+        let node = TopicNode::join(&arms_of(&self.topics)).unwrap();
+        let topic = ArmFeedbackTopic::subscriber(&node, name).unwrap();
+        Watch { _node: node, topic }
+    }
+
+    fn end(mut self) -> serde_json::Value {
+        send("-INT", self.process.id());
+        assert_eq!(self.process.wait().unwrap().code(), Some(0));
+        json(&self.result)
+    }
+}
+
+impl Drop for Simulator {
+    fn drop(&mut self) {
+        let _gone = self.process.kill();
+        let _reaped = self.process.wait();
+    }
+}
+
+/// Looks at an arm from outside.
+struct Watch {
+    _node: TopicNode,
+    topic: Subscriber<ArmFeedback>,
+}
+
+impl Watch {
+    fn next(&self) -> ArmFeedback {
+        let mut next = None;
+        until("the arm measures", || {
+            next = self.topic.newest().unwrap();
+            next.is_some()
+        });
+        next.unwrap()
+    }
+
+    /// Waits until no joint moves any more, for a tenth of a second.
+    fn rests(&self) {
+        let still = |message: &ArmFeedback| message.velocity.iter().all(|rate| rate.abs() < 2e-3);
+        let mut quiet = 0;
+        until("the arm rests", || {
+            quiet = if still(&self.next()) { quiet + 1 } else { 0 };
+            sleep_ns(5 * MS_NS);
+            quiet > 20
+        });
+    }
+}
+
+/// The task is done by a controller in one process and arms, world and cameras in another; of one arm by the network, which looks through them, of
+/// two by the expert.
+#[test]
+fn tasks_are_done_with_the_simulator_in_another_process() {
+    let _turn = alone();
+    for (task, policy, cameras) in [
+        ("needle-lift", CHECKPOINT, "endoscope"),
+        ("needle-handover", "expert", ""),
+    ] {
+        let shown = if cameras.is_empty() {
+            vec!["--seed", "4"]
+        } else {
+            vec!["--seed", "4", "--cameras", cameras]
+        };
+        let simulator = Simulator::start(&format!("topics-{task}"), task, &shown);
+        let folder = scratch(&format!("topics-{task}-run"));
+        let (log, result) = (folder.join("run.mcap"), folder.join("run.json"));
+        let mut run = simulator
+            .run(&["--task", task, "--policy", policy, "--seed", "4", "--log"])
+            .arg(&log)
+            .arg("--json")
+            .arg(&result)
+            .spawn()
+            .unwrap();
+        let id = run.id();
+        let code = run.wait().unwrap().code();
+        let result = json(&result);
+        assert_eq!(
+            (code, &result["success"]),
+            (Some(0), &true.into()),
+            "{result}"
+        );
+        let whole = checked_log(&log, &result);
+        if !cameras.is_empty() {
+            assert!(whole.counts.unwrap().frames > 10);
+        }
+        let ids = [id, simulator.process.id()];
+        let summary = simulator.end();
+        expect_nothing_left(&ids);
+        assert_eq!(summary["success"], true, "{summary}");
+        assert!(summary["begun_s"].as_f64().is_some(), "{summary}");
+    }
+}
+
+/// An arm whose controller is killed stops as its last set-point said and holds there; another run is told that its episode is used up.
+#[test]
+fn arms_whose_controller_dies_stop_and_hold() {
+    let _turn = alone();
+    let simulator = Simulator::start("topics-killed", "needle-lift", &["--seed", "1"]);
+    let watch = simulator.feedback(ARM_NAMES[0]);
+    let log = scratch("topics-killed-run").join("run.mcap");
+    let task = ["--task", "needle-lift", "--policy", "random", "--seed", "1"];
+    let mut run = simulator.run(&task).arg("--log").arg(&log).spawn().unwrap();
+    until("the run is under way", || {
+        assert_eq!(run.try_wait().unwrap(), None, "ended too early");
+        moves(&log)
+    });
+    run.kill().unwrap();
+    run.wait().unwrap();
+    watch.rests();
+    let held = watch.next();
+    sleep_ns(300 * MS_NS);
+    let later = watch.next();
+    assert!(later.sequence > held.sequence, "the simulator goes on");
+    let drift = held.position.iter().zip(&later.position);
+    let drift = drift.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(drift < 2e-3, "it holds: {drift}");
+    let again = simulator
+        .run(&task)
+        .stderr(Stdio::piped())
+        .output()
+        .unwrap();
+    let said = stderr(&again);
+    assert!(said.contains("has begun already"), "{said}");
+    assert!(said.contains("start `trocar simulator` anew"), "{said}");
+}
+
+/// A simulator that dies is a lost measurement: the run ends with that fault, and its log is whole.
+#[test]
+fn a_run_whose_arms_die_ends_with_a_fault() {
+    let _turn = alone();
+    let mut simulator = Simulator::start("topics-dies", "needle-lift", &["--seed", "1"]);
+    let folder = scratch("topics-dies-run");
+    let (log, result) = (folder.join("run.mcap"), folder.join("run.json"));
+    let mut run = simulator
+        .run(&[
+            "--task",
+            "needle-lift",
+            "--policy",
+            "random",
+            "--seed",
+            "1",
+            "--log",
+        ])
+        .arg(&log)
+        .arg("--json")
+        .arg(&result)
+        .spawn()
+        .unwrap();
+    until("the run is under way", || {
+        assert_eq!(run.try_wait().unwrap(), None, "ended too early");
+        moves(&log)
+    });
+    simulator.process.kill().unwrap();
+    simulator.process.wait().unwrap();
+    assert_eq!(run.wait().unwrap().code(), Some(1));
+    let result = json(&result);
+    let reason = result["reason"].as_str().unwrap();
+    assert!(reason.contains("no measurement for 0.0"), "{reason}");
+    let whole = RunLog::open(&log).unwrap();
+    assert_eq!(whole.cut(), None);
+    assert!(replay(&whole).unwrap().identical);
+}
+
+/// A robot without a task: limits, a policy, and arms that answer. A signal brings it to rest, and its arm loses torque.
+#[test]
+fn a_robot_on_topics_rests_without_torque_after_a_signal() {
+    let _turn = alone();
+    let simulator = Simulator::start("topics-robot", "needle-lift", &[]);
+    let node = TopicNode::join(&arms_of(&simulator.topics)).unwrap();
+    let told = ArmSetpointTopic::subscriber(&node, ARM_NAMES[0]).unwrap();
+    let watch = simulator.feedback(ARM_NAMES[0]);
+    let folder = scratch("topics-robot-run");
+    let (log, result) = (folder.join("run.mcap"), folder.join("run.json"));
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let mut run = simulator
+        .run(&[
+            "--policy",
+            "random",
+            "--safety",
+            safety.to_str().unwrap(),
+            "--log",
+        ])
+        .arg(&log)
+        .arg("--json")
+        .arg(&result)
+        .spawn()
+        .unwrap();
+    let mut last: Option<ArmCommand> = None;
+    let mut look = || {
+        while let Some(setpoint) = told.next_unread().unwrap() {
+            last = Some(setpoint.command());
+        }
+    };
+    until("the run is under way", || {
+        assert_eq!(run.try_wait().unwrap(), None, "ended too early");
+        look();
+        moves(&log)
+    });
+    send("-INT", run.id());
+    until("the run ends", || {
+        look();
+        run.try_wait().unwrap().is_some()
+    });
+    let result = json(&result);
+    assert_eq!(result["reason"], "interrupted", "{result}");
+    assert!(result["success"].is_null(), "{result}");
+    let last = last.unwrap();
+    assert!(!last.enabled && last.velocity.amax() <= 0.0, "{last:?}");
+    watch.rests();
+    let whole = checked_log(&log, &result);
+    expect_a_stop(&whole);
+    let of_log: &LoggedArm = &whole.ticks().last().unwrap().0.arms.first;
+    assert_eq!(
+        of_log.command.position, last.position,
+        "as the arm was told"
+    );
+}
+
+/// What is not there, or led by another, is named.
+#[test]
+fn arms_that_are_not_there_are_named() {
+    let topics = format!("test-{}-nobody", std::process::id());
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let run = |more: &[&str]| {
+        let mut command = trocar(Profile::Debug);
+        command.args([
+            "run",
+            "--backend",
+            "topics",
+            "--topics",
+            &topics,
+            "--policy",
+            "noop",
+        ]);
+        command.args(more).output().unwrap()
+    };
+    let robot = run(&["--safety", safety.to_str().unwrap(), "--seconds", "1"]);
+    let said = stderr(&robot);
+    assert_eq!(robot.status.code(), Some(1), "{said}");
+    assert!(said.contains("no feedback of psm1 on topics"), "{said}");
+    let task = run(&["--task", "needle-lift"]);
+    let said = stderr(&task);
+    assert!(said.contains("start `trocar simulator` first"), "{said}");
+    let lockstep = run(&["--task", "needle-lift", "--lockstep"]);
+    assert_eq!(lockstep.status.code(), Some(2), "{}", stderr(&lockstep));
+}
