@@ -5,15 +5,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Which build of `trocar` to run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Profile {
-    /// `cargo build`.
-    Debug,
-    /// `cargo build --release`.
-    Release,
-}
-
 /// The repository's root.
 #[must_use]
 pub fn repository() -> PathBuf {
@@ -22,22 +13,35 @@ pub fn repository() -> PathBuf {
         .map_or_else(PathBuf::new, Path::to_path_buf)
 }
 
-/// The `trocar` binary of `profile`, to be run in the repository's root.
+/// The `trocar` binary, to be run in the repository's root: `TROCAR_CHECKED`, which `make test` sets, else what `cargo build` made.
 ///
 /// # Panics
-/// If it was not built: `make test` builds both.
+/// If it was not built.
 #[must_use]
-pub fn trocar(profile: Profile) -> Command {
-    let folder = match profile {
-        Profile::Debug => "debug",
-        Profile::Release => "release",
-    };
-    let target = std::env::var_os("CARGO_TARGET_DIR")
-        .map_or_else(|| repository().join("target"), PathBuf::from);
-    let binary = target.join(folder).join("trocar");
+pub fn trocar() -> Command {
+    let built = || target().join("debug/trocar");
+    let binary = std::env::var_os("TROCAR_CHECKED").map_or_else(built, PathBuf::from);
+    program(binary, "cargo build -p trocar")
+}
+
+/// The `trocar` binary that users get, to be run in the repository's root.
+///
+/// # Panics
+/// If it was not built.
+#[must_use]
+pub fn trocar_release() -> Command {
+    program(target().join("release/trocar"), "make build")
+}
+
+fn target() -> PathBuf {
+    let told = std::env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into());
+    repository().join(told)
+}
+
+fn program(binary: PathBuf, made_by: &str) -> Command {
     assert!(
         binary.exists(),
-        "{} is missing: run `make test`, which builds it",
+        "{} is missing: `{made_by}` builds it",
         binary.display()
     );
     let mut command = Command::new(binary);

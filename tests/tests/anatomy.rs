@@ -9,14 +9,10 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use tests::{Profile, json, scratch, stderr, trocar};
+use tests::{json, scratch, stderr, trocar};
 
 fn anatomy(arguments: &[&str]) -> Output {
-    trocar(Profile::Debug)
-        .arg("anatomy")
-        .args(arguments)
-        .output()
-        .unwrap()
+    trocar().arg("anatomy").args(arguments).output().unwrap()
 }
 
 /// Runs and expects success.
@@ -125,7 +121,7 @@ fn patient_is_drawn_and_worked_on() {
         let task = ["run", "--task", "needle-lift", "--policy", "expert"];
         let set = ["--lockstep", "--set", &patient, "--set", &organ, "--json"];
         let json = result.display().to_string();
-        let mut run = trocar(Profile::Debug);
+        let mut run = trocar();
         run.args(task).args(set).arg(json).output().unwrap()
     };
     assert!(run(&out, "liver").status.success());

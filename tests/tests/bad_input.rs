@@ -8,13 +8,13 @@
 use std::fs;
 use std::path::Path;
 
-use tests::{Profile, repository, scratch, stderr, trocar};
+use tests::{repository, scratch, stderr, trocar};
 
 const COMMITTED: &str = "config/policies/needle-lift/act-compact";
 
 /// Runs `trocar` with `arguments`, expects exit code 2, and gives the message.
 fn refused(arguments: &[&str]) -> String {
-    let output = trocar(Profile::Release).args(arguments).output().unwrap();
+    let output = trocar().args(arguments).output().unwrap();
     assert_eq!(
         output.status.code(),
         Some(2),
@@ -44,7 +44,7 @@ fn built_in_config() -> String {
     fs::read_to_string(repository().join("config/control.toml")).unwrap()
 }
 
-/// A copy of the committed checkpoint that `damage` may spoil.
+/// A copy of the committed checkpoint that `damage` may spoil; in real time, where another process loads it, the same is said.
 fn run_with_checkpoint(name: &str, damage: impl Fn(&Path)) -> String {
     let folder = scratch(name).join("checkpoint");
     fs::create_dir_all(&folder).unwrap();
@@ -54,14 +54,11 @@ fn run_with_checkpoint(name: &str, damage: impl Fn(&Path)) -> String {
     }
     damage(&folder);
     let folder = folder.display().to_string();
-    refused(&[
-        "run",
-        "--task",
-        "needle-lift",
-        "--lockstep",
-        "--policy",
-        &folder,
-    ])
+    let run = ["run", "--task", "needle-lift", "--policy", &folder];
+    let message = refused(&[&run[..], &["--lockstep"]].concat());
+    let in_real_time = refused(&run);
+    assert!(in_real_time.contains(message.trim()), "{in_real_time}");
+    message
 }
 
 #[test]

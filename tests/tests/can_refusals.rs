@@ -8,7 +8,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Output;
 
-use tests::{Profile, repository, scratch, trocar};
+use tests::{repository, scratch, trocar};
 
 /// The shipped nodes and buses with some text replaced.
 fn config(test: &str, changes: &[(&str, &str)]) -> PathBuf {
@@ -23,7 +23,7 @@ fn config(test: &str, changes: &[(&str, &str)]) -> PathBuf {
 }
 
 fn run(arguments: &[&str]) -> Output {
-    trocar(Profile::Debug).args(arguments).output().unwrap()
+    trocar().args(arguments).output().unwrap()
 }
 
 /// The exit code and what the program complained of.

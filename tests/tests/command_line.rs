@@ -9,11 +9,11 @@ use std::fs;
 use std::io::Write as _;
 use std::process::{Command, Output, Stdio};
 
-use tests::{Profile, repository, scratch, trocar};
+use tests::{repository, scratch, trocar};
 use trocar_log::RunLog;
 
 fn run(arguments: &[&str]) -> Output {
-    trocar(Profile::Debug).args(arguments).output().unwrap()
+    trocar().args(arguments).output().unwrap()
 }
 
 fn text(bytes: &[u8]) -> String {
@@ -314,7 +314,7 @@ fn a_standard_output_that_is_full_or_closed_loses_no_result() {
         .write(true)
         .open("/dev/full")
         .unwrap();
-    let mut command = trocar(Profile::Debug);
+    let mut command = trocar();
     command.args(SHORT).arg("--json").arg(&file).stdout(full);
     let output = command.output().unwrap();
     let told = text(&output.stderr);
@@ -324,7 +324,7 @@ fn a_standard_output_that_is_full_or_closed_loses_no_result() {
     // A reader that has gone away.
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
-    let mut command = trocar(Profile::Debug);
+    let mut command = trocar();
     let file = folder.join("b.json");
     command.args(SHORT).arg("--json").arg(&file).stdout(writer);
     let output = command.output().unwrap();
@@ -341,7 +341,7 @@ fn unwritable_log_is_an_error_with_its_result() {
     let limited = "trap '' XFSZ; ulimit -f 60; exec \"$@\"";
     let output = Command::new("bash")
         .args(["-c", limited, "limited"])
-        .arg(trocar(Profile::Debug).get_program())
+        .arg(trocar().get_program())
         .args(SHORT)
         .arg("--log")
         .arg(&log)
@@ -464,7 +464,7 @@ fn inputs_are_not_overwritten_through_links() {
 fn interrupted(run: &[&str], name: &str, again: &[u64]) -> (Option<i32>, serde_json::Value) {
     let folder = scratch(name);
     let (log, result) = (folder.join("a.mcap"), folder.join("a.json"));
-    let mut command = trocar(Profile::Debug);
+    let mut command = trocar();
     command
         .args(run)
         .arg("--log")

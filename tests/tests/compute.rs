@@ -5,12 +5,12 @@
     reason = "in a test, a failure to set up is a failure"
 )]
 
-use tests::{Profile, stderr, trocar};
+use tests::{stderr, trocar};
 
 /// Runs the committed policy with `arguments`, expects exit code 2, and gives the message.
 fn refused(arguments: &[&str]) -> String {
     let policy = "config/policies/needle-lift/act-compact";
-    let output = trocar(Profile::Debug)
+    let output = trocar()
         .args(["run", "--task", "needle-lift", "--lockstep"])
         .args(["--policy", policy])
         .args(arguments)

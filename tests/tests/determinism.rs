@@ -8,7 +8,7 @@
 use std::process::Command;
 
 use tch::Device;
-use tests::{Profile, json, scratch, stderr, trocar};
+use tests::{json, scratch, stderr, trocar};
 use trocar::session::episode::{Episode, EpisodeObserver, NoObserver, Timing};
 use trocar::session::tasks;
 use trocar::session::{PolicyChoice, Setup};
@@ -111,7 +111,7 @@ fn every_task_ends_the_same_in_two_runs_of_the_program() {
     for task in tasks::names() {
         let run = |name: &str| {
             let result = folder.join(format!("{task}-{name}.json"));
-            let mut command = trocar(Profile::Release);
+            let mut command = trocar();
             command.args(["run", "--task", task, "--policy", "expert", "--lockstep"]);
             let output = command
                 .args(["--seed", "3", "--json"])

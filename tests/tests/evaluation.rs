@@ -10,7 +10,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use tests::{Profile, json, repository, scratch, stderr, trocar};
+use tests::{json, repository, scratch, stderr, trocar};
 
 /// The needle lift with a second to do it in.
 fn hasty_scene(folder: &Path) -> PathBuf {
@@ -24,7 +24,7 @@ fn hasty_scene(folder: &Path) -> PathBuf {
 }
 
 fn eval(policy: &str, arguments: &[&str]) -> Command {
-    let mut command = trocar(Profile::Debug);
+    let mut command = trocar();
     command.args(["eval", "--task", "needle-lift", "--policy", policy]);
     command.args(arguments);
     command
@@ -108,7 +108,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 fn reads(verb: &str, log: &Path) {
-    let output = trocar(Profile::Debug).arg(verb).arg(log).output().unwrap();
+    let output = trocar().arg(verb).arg(log).output().unwrap();
     assert_eq!(code(&output), 0, "{verb}: {}", stderr(&output));
 }
 
@@ -214,7 +214,7 @@ fn an_interrupted_evaluation_writes_what_is_done() {
 #[test]
 fn a_demo_of_a_task_without_a_policy_names_those_with_one() {
     let folder = scratch("demo").display().to_string();
-    let mut command = trocar(Profile::Debug);
+    let mut command = trocar();
     command.args(["demo", "--out", &folder, "--task"]);
     let task = scratch("demo-task").join("my-own-task");
     fs::create_dir_all(&task).unwrap();

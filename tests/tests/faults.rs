@@ -24,7 +24,7 @@ use std::thread;
 
 use hal::{Chunk, TimeNs};
 use performer::{Asks, Manner, Performer};
-use tests::{Profile, alone, child_of, json, scratch, trocar};
+use tests::{alone, child_of, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar::session::operator::{Ask, Command as Operator, ask};
 use trocar_control::OperatorEvent;
@@ -69,7 +69,7 @@ impl Run {
     ) -> Self {
         let folder = scratch(test);
         let log = log.map_or_else(|| folder.join("run.mcap"), Path::to_path_buf);
-        let mut process = trocar(Profile::Debug)
+        let mut process = trocar()
             .args(["run", "--task", "needle-lift", "--policy", policy])
             .args(["--seed", "1", "--set", "scene.episode.time_limit_s=300"])
             .args(["--set", &format!("control.policy.restarts={restarts}")])

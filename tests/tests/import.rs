@@ -11,14 +11,14 @@ use std::path::Path;
 use std::process::Output;
 
 use hal::{JointVector, TipTarget};
-use tests::{Profile, json, repository, scratch, stderr, trocar};
+use tests::{json, repository, scratch, stderr, trocar};
 use trocar_control::kinematics::forward;
 use trocar_data::dataset::Dataset;
 
 /// Imports the folder or file `source` of those that h5py wrote.
 fn import(layout: &str, source: &str, out: &Path, more: &[&str]) -> Output {
     let source = repository().join("policy/data/tests/hdf5").join(source);
-    trocar(Profile::Debug)
+    trocar()
         .args(["import", layout])
         .arg(source)
         .args(["--fps", "25", "--task", "Lift the needle", "--out"])
@@ -154,7 +154,7 @@ fn open_h_goes_out_and_comes_in() {
     let [ours, theirs, back] = ["ours", "theirs", "back"].map(|name| folder.join(name));
     record(&ours);
     let run = |arguments: &[&str], source: &Path, out: &Path| {
-        let mut command = trocar(Profile::Debug);
+        let mut command = trocar();
         command.args(arguments).arg(source).arg("--out").arg(out);
         command.output().unwrap()
     };

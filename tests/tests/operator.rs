@@ -11,7 +11,7 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use tests::{Profile, json, scratch, stderr, trocar};
+use tests::{json, scratch, stderr, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar_log::RunLog;
 use trocar_log::replay::replay;
@@ -32,7 +32,7 @@ impl Run {
         let folder = scratch(test);
         let sockets = std::env::temp_dir().join(format!("op-{test}-{}", std::process::id()));
         fs::create_dir_all(&sockets).unwrap();
-        let process = trocar(Profile::Debug)
+        let process = trocar()
             .env("XDG_RUNTIME_DIR", &sockets)
             .args([
                 "run",
@@ -95,7 +95,7 @@ impl Drop for Run {
 }
 
 fn operator(sockets: &Path, verb: &[&str]) -> std::process::Output {
-    let mut command: Command = trocar(Profile::Debug);
+    let mut command: Command = trocar();
     command.env("XDG_RUNTIME_DIR", sockets).args(verb);
     command.output().unwrap()
 }

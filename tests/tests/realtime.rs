@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use hal::TimeNs;
-use tests::{Profile, alone, child_of, json, scratch, trocar};
+use tests::{alone, child_of, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar::session::operator::{Ask, Command as Operator, ask};
 use trocar_log::replay::replay;
@@ -60,7 +60,7 @@ impl Run {
     fn start_with(test: &str, task: &str, policy: &str, seed: u64, more: &[&str]) -> Self {
         let folder = scratch(test);
         let (log, result) = (folder.join("run.mcap"), folder.join("run.json"));
-        let process = trocar(Profile::Debug)
+        let process = trocar()
             .args(["run", "--task", task, "--policy", policy])
             .args(more)
             .args(["--seed", &seed.to_string(), "--log"])
@@ -258,7 +258,7 @@ fn a_simulated_run_keeps_its_log_unasked() {
     let _turn = alone();
     let folder = scratch("realtime-unasked");
     let run = |more: &[&str]| {
-        let mut run = trocar(Profile::Debug);
+        let mut run = trocar();
         run.env("XDG_STATE_HOME", &folder);
         run.args(["run", "--task", "needle-lift", "--policy", "random"]);
         run.args(["--set", "scene.episode.time_limit_s=1"]);
@@ -294,7 +294,7 @@ fn only_a_strict_run_ends_where_the_system_refuses() {
     let _turn = alone();
     let run = |more: &[&str]| {
         let result = scratch("realtime-strict").join("run.json");
-        let output = trocar(Profile::Debug)
+        let output = trocar()
             .args(["run", "--task", "needle-lift", "--policy", "noop"])
             .args(["--set", "scene.episode.time_limit_s=1"])
             .args(["--set", "realtime.control.cpu=1000"])
@@ -424,7 +424,7 @@ fn policy_ends_with_a_parent_killed_before_the_run() {
 
 #[test]
 fn a_delay_in_real_time_is_refused() {
-    let output = trocar(Profile::Debug)
+    let output = trocar()
         .args(["run", "--task", "needle-lift", "--policy", "expert"])
         .args(["--latency-ms", "40"])
         .output()
@@ -438,7 +438,7 @@ fn a_delay_in_real_time_is_refused() {
 fn a_bad_checkpoint_is_refused_before_anything_starts() {
     let folder = scratch("realtime-bad");
     let log = folder.join("run.mcap");
-    let output = trocar(Profile::Debug)
+    let output = trocar()
         .args(["run", "--task", "needle-lift", "--policy"])
         .arg(&folder)
         .arg("--log")

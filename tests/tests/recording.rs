@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use tests::{Profile, json, repository, scratch, stderr, trocar};
+use tests::{json, repository, scratch, stderr, trocar};
 use trocar::rt::interrupt_process;
 use trocar_data::dataset::Dataset;
 
@@ -48,7 +48,7 @@ fn small_scene(folder: &Path) -> PathBuf {
 fn killed_recording_loses_one_episode_at_most() {
     let folder = scratch("record-killed");
     let out = folder.join("demos");
-    let mut record = trocar(Profile::Debug)
+    let mut record = trocar()
         .args(["record", "--task", "block-transfer", "--episodes", "40"])
         .arg("--scene")
         .arg(small_scene(&folder))
@@ -78,7 +78,7 @@ fn killed_recording_loses_one_episode_at_most() {
 
 /// A recording of `episodes` small episodes in `out`.
 fn recording(folder: &Path, out: &Path, episodes: u64, more: &[&str]) -> Command {
-    let mut record = trocar(Profile::Debug);
+    let mut record = trocar();
     record
         .args(["record", "--task", "block-transfer"])
         .args(["--episodes", &episodes.to_string()])
@@ -228,7 +228,7 @@ fn two_eyes_are_recorded_and_exported() {
     let [left, right] = [0, 1].map(|camera| dataset.image_rgb(0, camera).unwrap());
     assert_eq!(left.len(), right.len());
     assert_ne!(left, right);
-    let mut export = trocar(Profile::Debug);
+    let mut export = trocar();
     export
         .args(["export", "open-h"])
         .arg(&ours)

@@ -10,13 +10,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use tests::{Profile, json, repository, scratch, stderr, trocar};
+use tests::{json, repository, scratch, stderr, trocar};
 use trocar_log::RunLog;
 
 const COMMITTED: &str = "config/policies/needle-lift/act-compact";
 
 fn run(arguments: &[&str]) -> Output {
-    trocar(Profile::Debug).args(arguments).output().unwrap()
+    trocar().args(arguments).output().unwrap()
 }
 
 /// Runs `trocar`, expects `code`, and gives what it said on standard error.

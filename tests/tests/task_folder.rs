@@ -9,13 +9,13 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use tests::{Profile, json, repository, scratch, stderr, trocar};
+use tests::{json, repository, scratch, stderr, trocar};
 use trocar_data::dataset::Dataset;
 use trocar_log::RunLog;
 
 /// Runs `trocar`, expects `code`, and gives what it said on standard error.
 fn ends_with(code: i32, arguments: &[&str]) -> String {
-    let output = trocar(Profile::Debug).args(arguments).output().unwrap();
+    let output = trocar().args(arguments).output().unwrap();
     let message = stderr(&output);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
     message

@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use hal::Intrinsics;
-use tests::{Profile, json, repository, scratch, stderr, trocar};
+use tests::{json, repository, scratch, stderr, trocar};
 use trocar_data::dataset::{
     ArmFrame, CameraSpec, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord,
 };
@@ -73,7 +73,7 @@ fn train_steps(folder: &Path, out: &str, steps: &str) -> Command {
     let clouds =
         "frame = \"scene\"\ndropped_instances = [0]\npoints = 32\npadding = \"first_point\"\n";
     fs::write(path("clouds.toml"), clouds).unwrap();
-    let mut command = trocar(Profile::Debug);
+    let mut command = trocar();
     command.args([
         "train",
         "--policy",
@@ -213,7 +213,7 @@ fn evaluations_keep_the_best_weights() {
     let parts = folder.join("parts");
     assert!(parts.join("best/model.safetensors").is_file());
     assert!(!parts.join("best.part").exists());
-    let resumed = trocar(Profile::Debug)
+    let resumed = trocar()
         .args(["train", "--resume"])
         .arg(&parts)
         .output()
@@ -307,7 +307,7 @@ fn an_interrupted_training_goes_on_to_the_same_bytes() {
 
     let parts = folder.join("parts").display().to_string();
     let resume = || {
-        trocar(Profile::Debug)
+        trocar()
             .args(["train", "--resume", &parts])
             .output()
             .unwrap()

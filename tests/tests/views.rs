@@ -8,12 +8,12 @@
 use std::fs;
 use std::path::Path;
 
-use tests::{Profile, json, scratch, stderr, trocar};
+use tests::{json, scratch, stderr, trocar};
 use trocar_log::RunLog;
 
 /// Runs `trocar`, expects success, and gives what it printed.
 fn done(arguments: &[&str]) -> String {
-    let output = trocar(Profile::Debug).args(arguments).output().unwrap();
+    let output = trocar().args(arguments).output().unwrap();
     assert!(
         output.status.success(),
         "{arguments:?}: {}",
@@ -154,7 +154,7 @@ fn a_sheet_shows_the_tasks_that_were_asked_for() {
 
 /// Runs `trocar`, expects exit code 2, and gives the message.
 fn refused(arguments: &[&str]) -> String {
-    let output = trocar(Profile::Debug).args(arguments).output().unwrap();
+    let output = trocar().args(arguments).output().unwrap();
     let message = stderr(&output);
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
     message

@@ -5,7 +5,7 @@ use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
 
 use serde_json::{Value, json};
-use tests::{Profile, trocar};
+use tests::trocar;
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
 
@@ -30,7 +30,7 @@ fn open(words: &[&str]) -> (Drives, WebSocket<TcpStream>) {
 
 /// The same, and what opens them in Foxglove if `words` ask for it.
 fn open_with_viewer(words: &[&str]) -> (Drives, WebSocket<TcpStream>, Option<String>) {
-    let mut process = trocar(Profile::Debug)
+    let mut process = trocar()
         .args(["drives", "--console", "127.0.0.1:0"])
         .args(words)
         .stderr(Stdio::piped())

@@ -5,7 +5,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use tests::{Profile, json, repository, scratch, trocar};
+use tests::{json, repository, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 
 const MS_NS: u64 = 1_000_000;
@@ -61,7 +61,7 @@ impl Process {
     }
 
     fn slowed(times: u64, folder: &Path, name: &str, arguments: &[&str]) -> Self {
-        let mut command = trocar(Profile::Debug);
+        let mut command = trocar();
         command.args(arguments).arg("--json");
         command.arg(folder.join(format!("{name}.json")));
         Self::spawned(times, folder, name, command)

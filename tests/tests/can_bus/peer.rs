@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use tests::{Profile, repository, trocar};
+use tests::{repository, trocar};
 use trocar::rt::sleep_ns;
 
 /// A bus carries everybody's frames: one test at a time.
@@ -122,7 +122,7 @@ impl Peer {
 
     /// `trocar` with these arguments, `slow` times slower than real time, when it has said a line that has `ready` in it.
     pub(crate) fn trocar(slow: u64, arguments: &[&str], ready: &str) -> Self {
-        let mut process = trocar(Profile::Debug)
+        let mut process = trocar()
             .env("TROCAR_SLOW_MOTION", slow.to_string())
             .env("XDG_STATE_HOME", state_folder())
             .args(arguments)

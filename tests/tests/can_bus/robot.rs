@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use tests::{Profile, repository, scratch, trocar};
+use tests::{repository, scratch, trocar};
 use trocar_log::RunLog;
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
@@ -61,7 +61,7 @@ fn missing_camera_is_named_before_any_drive_is_used() {
     let _turn = alone();
     let policy = repository().join("config/policies/needle-lift/act-compact");
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
-    let output = trocar(Profile::Debug)
+    let output = trocar()
         .args(["run", "--backend", "can", "--topics", "can_robot_blind"])
         .args(["--policy", policy.to_str().unwrap()])
         .args(["--safety", safety.to_str().unwrap()])

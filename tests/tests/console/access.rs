@@ -3,7 +3,7 @@
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
 
-use tests::{Profile, stderr, trocar};
+use tests::{stderr, trocar};
 
 use crate::page::{Page, handshake};
 use crate::run::Served;
@@ -173,7 +173,7 @@ fn what_is_no_address_and_ports_in_use_are_refused() {
 
 /// A run with these words ends as bad usage that says `reason`.
 fn expect_refused(words: &[&str], reason: &str) {
-    let mut command = trocar(Profile::Debug);
+    let mut command = trocar();
     command.args(["run", "--task", "needle-lift", "--policy", "noop"]);
     let output = command.args(words).output().unwrap();
     let said = stderr(&output);

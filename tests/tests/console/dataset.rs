@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::{Value, json};
-use tests::{Profile, json as read_json, scratch, stderr, trocar};
+use tests::{json as read_json, scratch, stderr, trocar};
 use trocar_data::dataset::Dataset;
 
 use crate::browser::looks_right;
@@ -16,7 +16,7 @@ use crate::run::Served;
 fn recorded(test: &str, task: &str) -> PathBuf {
     let data = scratch(test).join("data");
     let words = ["record", "--task", task, "--episodes", "2", "--seed", "7"];
-    let output = trocar(Profile::Debug)
+    let output = trocar()
         .args(words)
         .args(["--depth", "--out"])
         .arg(&data)
@@ -138,7 +138,7 @@ fn a_folder_without_a_dataset_is_refused() {
         (&["--console", "127.0.0.1:0"], "meta/info.json"),
         (&["--foxglove", "127.0.0.1:0"], "has no --foxglove"),
     ] {
-        let output = trocar(Profile::Debug)
+        let output = trocar()
             .arg("replay")
             .arg(&folder)
             .args(words)

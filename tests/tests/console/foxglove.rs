@@ -9,7 +9,7 @@ use base64::Engine as _;
 use hal::TimeNs;
 use prost::Message as _;
 use serde_json::{Value, json};
-use tests::{Profile, scratch, trocar};
+use tests::{scratch, trocar};
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
 
@@ -78,7 +78,7 @@ struct Shown {
 impl Shown {
     fn start(test: &str) -> Self {
         let sockets = scratch(test);
-        let mut command: Command = trocar(Profile::Debug);
+        let mut command: Command = trocar();
         let words = "run --task needle-lift --policy random --seed 7 --foxglove 127.0.0.1:0 --set scene.episode.time_limit_s=300";
         command
             .env("XDG_RUNTIME_DIR", sockets)

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde_json::{Value, json};
-use tests::{Profile, json as read_json, scratch, trocar};
+use tests::{json as read_json, scratch, trocar};
 use trocar_data::dataset::Dataset;
 use trocar_log::RunLog;
 
@@ -120,11 +120,7 @@ fn hands_take_over_from_a_policy_and_hand_back() {
         ["Enable", "TakeOver", "HandBack", "Pause", "Disable"]
     );
     verified(&log);
-    let replay = trocar(Profile::Debug)
-        .arg("replay")
-        .arg(&log)
-        .output()
-        .unwrap();
+    let replay = trocar().arg("replay").arg(&log).output().unwrap();
     assert!(replay.status.success(), "{}", tests::stderr(&replay));
 }
 

@@ -7,7 +7,7 @@ use hal::{PerArm, Pose, TipTarget};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 use tch::Device;
-use tests::{Profile, json as read_json, scratch, stderr, trocar};
+use tests::{json as read_json, scratch, stderr, trocar};
 use trocar::session::episode::{Episode, EpisodeObserver, StepView, Timing};
 use trocar::session::latency::Latency;
 use trocar::session::{Plan, PolicyChoice, SessionError};
@@ -230,7 +230,7 @@ fn says_who_and_trains(folder: &Path, data: &Path, label: &Value) {
         shown["p50"].as_f64() > Some(0.0) && shown["p99"].as_f64() >= shown["p95"].as_f64(),
         "{note}"
     );
-    let output = trocar(Profile::Debug)
+    let output = trocar()
         .args([
             "train",
             "--policy",

@@ -4,7 +4,7 @@ use std::io::{Read as _, Write as _};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 
-use tests::{Profile, json, stderr, trocar};
+use tests::{json, stderr, trocar};
 use trocar::rt::sleep_ns;
 
 use crate::run::{PATIENCE, SLOW_MOTION};
@@ -44,7 +44,7 @@ fn the_monitor_shows_a_run_and_its_keys_steer_it() {
         command.env("TROCAR_SLOW_MOTION", SLOW_MOTION.to_string());
         command
     };
-    let mut run = at(trocar(Profile::Debug));
+    let mut run = at(trocar());
     run.args(["run", "--task", "needle-lift", "--policy", "noop"]);
     run.args(["--set", "scene.episode.time_limit_s=300", "--json"]);
     let result = sockets.join("run.json");
@@ -55,18 +55,18 @@ fn the_monitor_shows_a_run_and_its_keys_steer_it() {
             .spawn()
             .unwrap(),
     );
-    let status = || at(trocar(Profile::Debug)).arg("status").output().unwrap();
+    let status = || at(trocar()).arg("status").output().unwrap();
     while !String::from_utf8_lossy(&status().stdout).contains("ENABLED") {
         assert!(run.0.try_wait().unwrap().is_none(), "the run has ended");
     }
-    let no_terminal = at(trocar(Profile::Debug))
+    let no_terminal = at(trocar())
         .arg("monitor")
         .stdin(Stdio::null())
         .output()
         .unwrap();
     assert_eq!(no_terminal.status.code(), Some(2));
     assert!(stderr(&no_terminal).contains("monitor needs a terminal"));
-    let program = trocar(Profile::Debug).get_program().to_owned();
+    let program = trocar().get_program().to_owned();
     let program = program.to_str().unwrap();
     let process = run.0.id();
     let mut monitor = at(Command::new("script"));

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use tests::{Profile, scratch, trocar};
+use tests::{scratch, trocar};
 
 /// Nothing takes longer than this.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
@@ -43,7 +43,7 @@ pub(crate) const GROWTH_MB: u64 = 48;
 /// The log of an expert's episode of `task`, in the scratch folder of `test`.
 pub(crate) fn made_log(test: &str, task: &str) -> PathBuf {
     let log = scratch(test).join("run.mcap");
-    let mut command = trocar(Profile::Debug);
+    let mut command = trocar();
     command.args(["run", "--task", task, "--policy", "expert"]);
     command.args(["--lockstep", "--seed", "7", "--log"]);
     assert!(command.arg(&log).status().unwrap().success());
@@ -52,11 +52,7 @@ pub(crate) fn made_log(test: &str, task: &str) -> PathBuf {
 
 /// Verifies a log: no limit was broken.
 pub(crate) fn verified(log: &Path) {
-    let output = trocar(Profile::Debug)
-        .arg("verify")
-        .arg(log)
-        .output()
-        .unwrap();
+    let output = trocar().arg("verify").arg(log).output().unwrap();
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{said} {}", tests::stderr(&output));
 }
@@ -99,7 +95,7 @@ impl Served {
         let name = folder.file_name().unwrap().to_str().unwrap();
         let sockets = std::env::temp_dir().join(format!("co-{name}-{}", std::process::id()));
         fs::create_dir_all(&sockets).unwrap();
-        let mut command: Command = trocar(Profile::Debug);
+        let mut command: Command = trocar();
         command
             .env("XDG_RUNTIME_DIR", &sockets)
             .env("XDG_STATE_HOME", folder)

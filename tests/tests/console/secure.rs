@@ -15,7 +15,7 @@ use rustls::pki_types::pem::PemObject as _;
 use rustls::{ClientConfig, ClientConnection, RootCertStore, StreamOwned};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
-use tests::{Profile, repository, scratch, stderr, trocar};
+use tests::{repository, scratch, stderr, trocar};
 use trocar::rt::sleep_ns;
 
 use crate::page::{Page, handshake_by};
@@ -226,7 +226,7 @@ fn a_certificate_of_ones_own_is_served() {
         (&cert, &empty, "empty.pem: no PEM of a certificate"),
         (&private, &private, "key.pem: no PEM of a certificate"),
     ] {
-        let mut command = trocar(Profile::Debug);
+        let mut command = trocar();
         command.args(&OPEN[..5]).args(["--console", "127.0.0.1:0"]);
         command.args(["--console-cert", cert, "--console-key", key]);
         let output = command.output().unwrap();
@@ -252,7 +252,7 @@ fn another_host_gets_nothing_without_the_token() {
         .args(user.iter().filter(|_| !root))
         .args(["--net", "--fork", "--kill-child", "python3", "-B"])
         .arg(repository().join("tests/scripts/console_from_elsewhere.py"))
-        .arg(trocar(Profile::Debug).get_program())
+        .arg(trocar().get_program())
         .arg(&folder)
         .current_dir(repository())
         .output()

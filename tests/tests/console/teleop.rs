@@ -469,10 +469,7 @@ fn teleoperation_needs_real_time_a_console_and_a_task() {
 
 /// `trocar WORDS` ends as bad usage that says `reason`.
 pub(crate) fn refused(words: &[&str], reason: &str) {
-    let output = tests::trocar(tests::Profile::Debug)
-        .args(words)
-        .output()
-        .unwrap();
+    let output = tests::trocar().args(words).output().unwrap();
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(2), "{words:?}: {said}");
     assert!(said.contains(reason), "{words:?}: {said}");

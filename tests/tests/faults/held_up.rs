@@ -243,7 +243,7 @@ fn a_policy_for_something_else_is_refused_by_name() {
     ] {
         let topics = format!("faults-{}-other", std::process::id());
         let _performer = Performer::asking(&topics, asks);
-        let output = trocar(Profile::Debug)
+        let output = trocar()
             .args(["run", "--task", "needle-lift", "--policy"])
             .arg(format!("external:{topics}"))
             .output()

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
 use hal::{ARM_NAMES, ArmCommand};
-use tests::{Profile, alone, json, repository, scratch, stderr, trocar};
+use tests::{alone, json, repository, scratch, stderr, trocar};
 use trocar_log::replay::replay;
 use trocar_log::{LoggedArm, RunLog};
 use trocar_topics::{
@@ -27,7 +27,7 @@ impl Simulator {
     fn start(test: &str, task: &str, more: &[&str]) -> Self {
         let topics = format!("test-{}-{test}", std::process::id());
         let result = scratch(test).join("simulator.json");
-        let process = trocar(Profile::Debug)
+        let process = trocar()
             .args(["simulator", "--task", task, "--topics", &topics])
             .args(more)
             .arg("--json")
@@ -44,7 +44,7 @@ impl Simulator {
 
     /// The controller's process.
     fn run(&self, what: &[&str]) -> Command {
-        let mut command = trocar(Profile::Debug);
+        let mut command = trocar();
         command
             .args(["run", "--backend", "topics", "--topics", &self.topics])
             .args(what)
@@ -276,7 +276,7 @@ fn arms_that_are_not_there_are_named() {
     let topics = format!("test-{}-nobody", std::process::id());
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
     let run = |more: &[&str]| {
-        let mut command = trocar(Profile::Debug);
+        let mut command = trocar();
         command.args([
             "run",
             "--backend",

@@ -3,7 +3,7 @@
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, ChildStderr, Command, Stdio};
 
-use tests::{Profile, alone, json, scratch, trocar};
+use tests::{alone, json, scratch, trocar};
 
 use super::{CHECKPOINT, checked_log, expect_a_stop, expect_nothing_left, moves, send, until};
 
@@ -16,7 +16,7 @@ struct ByHand {
 impl ByHand {
     /// Starts it and waits until it is on its topics.
     fn start(name: &str, more: &[&str]) -> Self {
-        let mut process = trocar(Profile::Debug)
+        let mut process = trocar()
             .args(["policy", "--policy", CHECKPOINT, "--name", name])
             .args(more)
             .stderr(Stdio::piped())
@@ -61,7 +61,7 @@ fn topics(test: &str) -> String {
 }
 
 fn run(policy: &str, more: &[&str]) -> Command {
-    let mut command = trocar(Profile::Debug);
+    let mut command = trocar();
     command
         .args(["run", "--task", "needle-lift", "--policy", policy])
         .args(["--set", "control.aggregation.mode=newest"])
@@ -159,7 +159,7 @@ fn by_hand_a_policy_ends_on_a_signal_and_refuses_others() {
         ("no/such/folder", "lab", "there is no such folder"),
         (CHECKPOINT, "a/b", "cannot name a topic"),
     ] {
-        let output = trocar(Profile::Debug)
+        let output = trocar()
             .args(["policy", "--policy", policy, "--name", name])
             .output()
             .unwrap();

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use hal::{Intrinsics, Pose};
-use tests::{Profile, alone, child_of, json, scratch, trocar};
+use tests::{alone, child_of, json, scratch, trocar};
 use trocar_log::RunLog;
 use trocar_topics::{CameraTopic, FrameHeader, SnapshotTopic, TopicNode};
 
@@ -23,7 +23,7 @@ fn topics(test: &str) -> String {
 }
 
 fn run(topics: &str, more: &[&str]) -> Command {
-    let mut command = trocar(Profile::Debug);
+    let mut command = trocar();
     command
         .args(["run", "--task", "needle-lift", "--policy", CHECKPOINT])
         .args(["--topics", topics])
@@ -38,7 +38,7 @@ struct Cameras(Child);
 
 impl Cameras {
     fn start(topics: &str, more: &[&str]) -> Self {
-        let child = trocar(Profile::Debug)
+        let child = trocar()
             .args(["cameras", "--task", "needle-lift", "--topics", topics])
             .args(more)
             .stderr(Stdio::piped())
@@ -248,11 +248,7 @@ fn cameras_by_hand_end_on_a_signal_and_refuse_others() {
         if !more.contains(&"--topics") {
             arguments.extend(["--topics", &topics]);
         }
-        let output = trocar(Profile::Debug)
-            .args(arguments)
-            .args(more)
-            .output()
-            .unwrap();
+        let output = trocar().args(arguments).args(more).output().unwrap();
         let said = tests::stderr(&output);
         assert_eq!(output.status.code(), Some(2), "{said}");
         assert!(said.contains(why), "{said}");

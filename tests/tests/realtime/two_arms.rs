@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use tch::Device;
-use tests::{Profile, scratch, stderr, trocar};
+use tests::{scratch, stderr, trocar};
 use trocar_data::relative_action::REPRESENTATION;
 use trocar_log::RunLog;
 use trocar_nets::act::{Act, ActConfig, ActPreset};
@@ -175,7 +175,7 @@ fn policy_of_another_arm_count_is_refused() {
             ("eval", "--trials"),
         ] {
             let log = scratch("realtime-refused").join("run.mcap");
-            let mut command = trocar(Profile::Debug);
+            let mut command = trocar();
             command.args([verb, "--task", task, "--policy"]).arg(policy);
             match option {
                 "--log" => command.arg(option).arg(&log),

@@ -1,14 +1,14 @@
-//! Studies in a scratch folder, run by the release binary.
+//! Studies in a scratch folder, run by the program.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use tests::{Profile, repository, stderr, trocar};
+use tests::{repository, stderr, trocar};
 
 /// `trocar study study.toml` in `folder`.
 pub(crate) fn study(folder: &Path, options: &[&str]) -> Command {
-    let mut command = trocar(Profile::Release);
+    let mut command = trocar();
     command
         .current_dir(folder)
         .args(["study", "study.toml"])
@@ -18,7 +18,7 @@ pub(crate) fn study(folder: &Path, options: &[&str]) -> Command {
 
 /// `trocar report` in `folder`.
 pub(crate) fn report(folder: &Path, arguments: &[&str]) -> Command {
-    let mut command = trocar(Profile::Release);
+    let mut command = trocar();
     command.current_dir(folder).arg("report").args(arguments);
     command
 }

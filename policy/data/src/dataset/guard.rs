@@ -16,7 +16,7 @@ thread_local! {
 
 /// The dataset's file that this thread is reading, in the middle of it.
 ///
-/// For a panic hook: where a panic ends the program at once (`panic = "abort"`), only the hook can still name the file.
+/// For a panic hook that ends the program: such a panic becomes an error instead.
 #[must_use]
 pub fn file_being_read() -> Option<PathBuf> {
     // A panic within the access itself must not lead to a second one.

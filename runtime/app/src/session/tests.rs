@@ -8,6 +8,7 @@ use nalgebra::Vector3;
 use tch::Device;
 use trocar_data::dataset::Dataset;
 use trocar_nets::act::BackboneNorm;
+use trocar_render::Shading;
 use trocar_tasks::simulation::{Rendering, Simulation};
 
 use super::episode::{Episode, EpisodeEnd, EpisodeObserver, Timing};
@@ -204,6 +205,7 @@ fn network_of_another_arm_count_is_refused() {
 /// The handover seen by a smaller camera, which is drawn sooner.
 fn small_handover(policy: &PolicyChoice) -> Setup {
     let mut setup = handover(policy);
+    setup.task.shading = Shading::Plain;
     for camera in &mut setup.task.cameras {
         (camera.width, camera.height) = (256, 256);
     }

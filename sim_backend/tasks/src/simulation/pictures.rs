@@ -149,7 +149,8 @@ fn a_flap_is_drawn_where_it_has_gone() {
 
 #[test]
 fn looking_changes_nothing() {
-    for name in TaskConfig::names() {
+    // Two arms, and tissue that bends: opening a renderer takes seconds.
+    for name in ["needle-handover", "tissue-retraction"] {
         let task = TaskConfig::shipped(name);
         let hash = |rendering| {
             let mut simulation = Simulation::new(&task, 3, rendering).unwrap();

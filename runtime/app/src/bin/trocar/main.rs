@@ -45,27 +45,21 @@ use operator::{operate, watch};
 #[global_allocator]
 static ALLOCATOR: rt::CountingAllocator = rt::CountingAllocator;
 
-/// A dataset's file that its reader panics at is bad input, not a defect of this program: the file is named, also where a
-/// panic ends the program at once.
-fn explain_panics() {
+/// A panic ends the program at once, in whichever thread: nothing goes on beside one that is gone, and the drives see to the
+/// rest. Only where a dataset's file is read, which its reader panics at, is it bad input, and becomes an error that names the file.
+fn panics_end_the_program() {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
-        let Some(file) = trocar_data::dataset::file_being_read() else {
-            return before(panic);
-        };
-        if cfg!(panic = "abort") {
-            let file = file.display();
-            console::note(&format!(
-                "trocar: error: {file}: not a whole parquet file: its parts contradict each other"
-            ));
-            std::process::exit(2);
+        if trocar_data::dataset::file_being_read().is_none() {
+            before(panic);
+            std::process::abort();
         }
     }));
 }
 
 fn main() -> ExitCode {
     rt::quieten_mesa();
-    explain_panics();
+    panics_end_the_program();
     if let Err(error) = trocar::study::child::end_with_parent() {
         console::error(&error);
         return ExitCode::from(1);

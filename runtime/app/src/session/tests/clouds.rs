@@ -9,6 +9,7 @@ const SIDE: u32 = 128;
 
 fn small_lift(policy: &PolicyChoice, side: u32) -> Setup {
     let mut setup = Setup::load("needle-lift", None, policy).unwrap();
+    setup.task.shading = Shading::Plain;
     for camera in &mut setup.task.cameras {
         (camera.width, camera.height) = (side, side);
     }

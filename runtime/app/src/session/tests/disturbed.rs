@@ -18,6 +18,7 @@ pub(super) fn small_lift(varied: &[Variation]) -> Plan {
     };
     let setup = Setup::load("needle-lift", None, &PolicyChoice::Expert).unwrap();
     let mut setup = setup.with_scene(&options).unwrap();
+    setup.task.shading = Shading::Plain;
     for camera in &mut setup.task.cameras {
         (camera.width, camera.height) = (64, 64);
     }

@@ -7,9 +7,17 @@ use super::resumed::files;
 use super::*;
 use crate::session::SessionError;
 
-/// The lift with so little time that some attempts are too slow.
+/// A lift whose first attempt takes longer than the next ones.
+fn lift() -> Plan {
+    Plan {
+        seed: 42,
+        ..small_lift(&[])
+    }
+}
+
+/// The same with so little time that some attempts are too slow.
 fn hasty_lift(time_limit_s: f64) -> Plan {
-    let mut plan = small_lift(&[]);
+    let mut plan = lift();
     plan.setup.task.time_limit_s = time_limit_s;
     plan
 }
@@ -20,7 +28,7 @@ fn attempts_that_fail_are_kept_apart() {
     let folder = Scratch::new("session-failures");
     let path = |name: &str| folder.0.join(name);
     let plain = options(&path("plain"), None);
-    let summary = record(&small_lift(&[]), &plain, &|| false, &mut |_| {}).unwrap();
+    let summary = record(&lift(), &plain, &|| false, &mut |_| {}).unwrap();
     let seconds =
         |index: usize| 0.04 * f64::from(u32::try_from(summary.attempts[index].steps).unwrap());
     // Between the two.

@@ -152,7 +152,7 @@ impl Attack {
     }
 }
 
-/// How long an attack lasts: `TROCAR_ADVERSARY_TICKS`, or 50 000 ticks; `make adversary` has ten million.
+/// How long an attack lasts: `TROCAR_ADVERSARY_TICKS`, or 20 000 ticks; `make adversary` has ten million.
 pub(super) fn ticks() -> u64 {
-    std::env::var("TROCAR_ADVERSARY_TICKS").map_or(50_000, |text| text.parse().unwrap())
+    std::env::var("TROCAR_ADVERSARY_TICKS").map_or(20_000, |text| text.parse().unwrap())
 }

@@ -7,6 +7,9 @@ use crate::task::Outcome;
 use hal::{CameraFrame, Distortion};
 use trocar_render::visual::instance;
 
+/// Two arms, and tissue that bends: opening a renderer takes seconds.
+const DIFFERENT: [&str; 2] = ["needle-handover", "tissue-retraction"];
+
 /// A built-in task with small pictures.
 fn small(name: &str) -> TaskConfig {
     let mut task = TaskConfig::shipped(name);
@@ -108,7 +111,7 @@ fn pictures_show_the_needle_that_is_drawn() {
 
 #[test]
 fn light_changes_colours_alone() {
-    for name in TaskConfig::names() {
+    for name in DIFFERENT {
         let (plain, lit) = (small(name), varied(name, &[Variation::Light]));
         let (before, cameras) = frames(&plain, 3, None);
         let (seen, cameras) = frames(&lit, 3, cameras);
@@ -130,7 +133,7 @@ fn light_changes_colours_alone() {
 /// Depth and ids go with the distorted picture, the plain one comes back, and the same seed sees the same.
 #[test]
 fn lenses_are_the_episodes() {
-    for name in TaskConfig::names() {
+    for name in DIFFERENT {
         let (plain, worn) = (small(name), varied(name, &[Variation::Lens]));
         let (before, cameras) = frames(&plain, 3, None);
         let (seen, cameras) = frames(&worn, 3, cameras);
