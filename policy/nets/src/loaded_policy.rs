@@ -6,7 +6,10 @@ use hal::{Chunk, Observation, Policy, PolicyError};
 
 use crate::act_pc_policy::ActPcPolicy;
 use crate::act_policy::ActPolicy;
-use crate::checkpoint::{ACT_PC_TYPE, CheckpointError, DP3_TYPE, Recipe, policy_type};
+use crate::checkpoint::{
+    ACT_PC_TYPE, Cause, CheckpointError, DP3_TYPE, RECIPE, Recipe, dp3_history_steps, load_recipe,
+    policy_type,
+};
 use crate::compute::Compute;
 use crate::dp3_policy::Dp3Policy;
 
@@ -19,6 +22,34 @@ pub enum LoadedPolicy {
     ActPc(Box<ActPcPolicy>),
     /// DP3, from point clouds.
     Dp3(Box<Dp3Policy>),
+}
+
+/// What is known of a policy before its weights are read.
+#[derive(Clone, Debug)]
+pub struct PolicyOutline {
+    /// Cameras, step, query period.
+    pub recipe: Recipe,
+    /// Steps before a query that it wants to have observed too.
+    pub history_steps: u64,
+}
+
+impl PolicyOutline {
+    /// Of the policy in `folder`: its weights may still be refused.
+    ///
+    /// # Errors
+    /// [`CheckpointError`] naming the file and what is wrong with it.
+    pub fn read(folder: &Path) -> Result<Self, CheckpointError> {
+        let recipe =
+            load_recipe(folder)?.ok_or_else(|| Cause::NoRecipe.in_file(&folder.join(RECIPE)))?;
+        let history_steps = match policy_type(folder)?.as_deref() {
+            Some(DP3_TYPE) => dp3_history_steps(folder, &recipe)?,
+            _ => 0,
+        };
+        Ok(Self {
+            recipe,
+            history_steps,
+        })
+    }
 }
 
 impl LoadedPolicy {

@@ -79,11 +79,7 @@ pub fn save_dp3(
 pub fn load_dp3(folder: &Path, device: Device) -> Result<Dp3Checkpoint, CheckpointError> {
     let recipe_file = folder.join(RECIPE);
     let recipe = load_recipe(folder)?.ok_or_else(|| Cause::NoRecipe.in_file(&recipe_file))?;
-    let file = folder.join(CONFIG);
-    let text = std::fs::read_to_string(&file).map_err(|error| Cause::io(error).in_file(&file))?;
-    let config: Dp3File =
-        serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
-    check(&config, &recipe).map_err(|cause| cause.in_file(&file))?;
+    let config = read_config(folder, &recipe)?;
     let statistics = read_statistics(folder, recipe.arms * RELATIVE_ACTION_DIM)?;
     let limits = |feature: &str, [min, max]: [&[f32]; 2]| {
         LimitsNormaliser::new(min, max).map_err(|error| {
@@ -110,6 +106,21 @@ pub fn load_dp3(folder: &Path, device: Device) -> Result<Dp3Checkpoint, Checkpoi
         cloud: config.cloud,
         recipe,
     })
+}
+
+/// The observations before the newest one that the policy in `folder`, of this `recipe`, looks at.
+pub(crate) fn history_steps(folder: &Path, recipe: &Recipe) -> Result<u64, CheckpointError> {
+    let observations = read_config(folder, recipe)?.network.n_obs_steps;
+    Ok(u64::try_from(observations - 1).unwrap_or(0))
+}
+
+fn read_config(folder: &Path, recipe: &Recipe) -> Result<Dp3File, CheckpointError> {
+    let file = folder.join(CONFIG);
+    let text = std::fs::read_to_string(&file).map_err(|error| Cause::io(error).in_file(&file))?;
+    let config: Dp3File =
+        serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
+    check(&config, recipe).map_err(|cause| cause.in_file(&file))?;
+    Ok(config)
 }
 
 fn check(config: &Dp3File, recipe: &Recipe) -> Result<(), Cause> {

@@ -30,6 +30,7 @@ use tch::Device;
 pub use act_pc::{ACT_PC_TYPE, ActPcCheckpoint, load_act_pc, save_act_pc};
 pub use backbone::BackboneWeights;
 pub use clouds::CloudStatistics;
+pub(crate) use dp3::history_steps as dp3_history_steps;
 pub use dp3::{DP3_TYPE, Dp3Checkpoint, load_dp3, save_dp3};
 pub use error::{Cause, CheckpointError};
 pub use processors::FeatureStatistics;
@@ -49,7 +50,7 @@ use trocar_data::relative_action::{
 const CONFIG: &str = "config.json";
 /// The file of the weights in a checkpoint's folder.
 pub const WEIGHTS: &str = "model.safetensors";
-const RECIPE: &str = "trocar.json";
+pub(crate) const RECIPE: &str = "trocar.json";
 
 /// Times between two steps of a chunk, ns: 1 kHz to one in ten seconds.
 const STEP_NS: std::ops::RangeInclusive<u64> = 1_000_000..=10_000_000_000;

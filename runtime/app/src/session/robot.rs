@@ -7,7 +7,7 @@ use hal::ArmState;
 use hal::config::Source;
 use trocar_nets::checkpoint::{Recipe, load_recipe};
 use trocar_nets::compute::Compute;
-use trocar_nets::loaded_policy::LoadedPolicy;
+use trocar_nets::loaded_policy::{LoadedPolicy, PolicyOutline};
 
 use super::changes::{Changes, ConfigFile};
 use super::plan::Arms;
@@ -142,7 +142,18 @@ impl Robot {
         compute: impl Into<Compute>,
     ) -> Result<LoadedPolicy, SessionError> {
         // Before the weights: they would only take time.
-        let commanded = load_recipe(folder)?.map(|recipe| recipe.arms);
+        self.check_arms(folder, load_recipe(folder)?.map(|recipe| recipe.arms))?;
+        Ok(LoadedPolicy::load(folder, compute)?)
+    }
+
+    /// What is known of the policy in `folder` before its weights are read; it must be for as many arms.
+    pub(super) fn outline(&self, folder: &Path) -> Result<PolicyOutline, SessionError> {
+        let outline = PolicyOutline::read(folder)?;
+        self.check_arms(folder, Some(outline.recipe.arms))?;
+        Ok(outline)
+    }
+
+    fn check_arms(&self, folder: &Path, commanded: Option<usize>) -> Result<(), SessionError> {
         if let Some(commanded) = commanded.filter(|commanded| *commanded != self.arms()) {
             return Err(SessionError::BadArgument(format!(
                 "policy {}: trocar.json: arms = {commanded}, {} has {}",
@@ -151,7 +162,7 @@ impl Robot {
                 self.arms()
             )));
         }
-        Ok(LoadedPolicy::load(folder, compute)?)
+        Ok(())
     }
 
     /// What is running and where: program with its commit, library, a checkpoint's weights by their SHA-256 and the dataset that

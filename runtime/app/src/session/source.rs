@@ -4,6 +4,7 @@ use hal::{
     ARMS_MAX, ArmObservation, ArmState, Chunk, FrameRef, Observation, Policy, TimeNs, TipTarget,
 };
 use nalgebra::{Translation3, Vector3};
+use trocar_nets::checkpoint::Recipe;
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_tasks::expert::{Activity, Expert};
 
@@ -113,7 +114,7 @@ impl ChunkSource {
     #[must_use]
     pub fn network(network: LoadedPolicy) -> Self {
         let every = u64::from(network.recipe().query_every_steps);
-        let cameras = camera_names(&network);
+        let cameras = camera_names(network.recipe());
         Self::policy(Box::new(network), cameras, every)
     }
 
@@ -342,17 +343,16 @@ pub const fn precedes_query(step: u64, every: u64, history_steps: u64) -> bool {
     since != 0 && every - since <= history_steps
 }
 
-/// Names of the cameras that `network` looks through: LeRobot's feature names without their common beginning.
+/// Names of the cameras that a network of this `recipe` looks through: LeRobot's feature names without their common beginning.
 #[must_use]
-pub fn camera_names(network: &LoadedPolicy) -> Vec<String> {
+pub fn camera_names(recipe: &Recipe) -> Vec<String> {
     let name = |feature: &str| {
         feature
             .strip_prefix("observation.images.")
             .unwrap_or(feature)
             .to_owned()
     };
-    network
-        .recipe()
+    recipe
         .cameras
         .iter()
         .map(|camera| name(&camera.feature))

@@ -292,7 +292,7 @@ fn hello(
     network: &LoadedPolicy,
     (query_every_steps, history_steps): (u64, u64),
 ) -> Result<PolicyHello, SessionError> {
-    let names = camera_names(network);
+    let names = camera_names(network.recipe());
     let mut cameras = [Line::default(); POLICY_CAMERAS_MAX];
     if names.len() > cameras.len() {
         return Err(SessionError::BadArgument(format!(

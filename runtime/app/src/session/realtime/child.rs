@@ -5,8 +5,9 @@ use std::path::Path;
 
 use hal::{Chunk, PolicyError, TimeNs};
 use tch::Device;
+use trocar_nets::checkpoint::Recipe;
 use trocar_nets::compute::{Arithmetic, Compute};
-use trocar_nets::loaded_policy::LoadedPolicy;
+use trocar_nets::loaded_policy::PolicyOutline;
 use trocar_topics::{
     Events, PolicyStage, PolicyStatus, PolicyStatusTopic, Publisher, Reply, RunCommand, RunControl,
     RunControlTopic, Subscriber, TopicNode,
@@ -31,6 +32,9 @@ const SILENCE_NS_MAX: u64 = 5_000_000_000;
 
 /// A process that lives and answers no observation for this long, and a query's interval, answers none any more, ns.
 const ANSWER_NS_MAX: u64 = 10_000_000_000;
+
+/// The code with which this program ends for bad input.
+const BAD_INPUT: i32 = 2;
 
 /// Polling period for whether an external policy is there, ns.
 const LOOK_EVERY_NS: u64 = 20_000_000;
@@ -176,28 +180,33 @@ pub(super) struct PolicyChild {
 impl PolicyChild {
     /// Starts the process and waits until it has loaded the checkpoint in `policy`.
     ///
-    /// It is loaded here first, as `network`: a bad one is refused with its reason before any process or thread is started.
+    /// Of it no more than the `outline` is read here: what is wrong with the weights, the process says on standard error.
     /// Its topics, and the frames, are `outside`.
     pub(super) fn start(
-        network: &LoadedPolicy,
+        outline: &PolicyOutline,
         policy: &Path,
         (seed, compute): (u64, Compute),
         outside: Outside<'_>,
         say: PrintLine<'_>,
     ) -> Result<Self, SessionError> {
-        let query_every_steps = u64::from(network.recipe().query_every_steps).max(1);
-        let history_steps = hal::Policy::history_steps(network);
+        let query_every_steps = u64::from(outline.recipe.query_every_steps).max(1);
         let node = TopicNode::join(outside.topics)?;
         let control = RunControlTopic::publisher(&node, FIRST_ARM)?;
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
-        let chunks = ArmChunks::open(&node, network.recipe().arms)?;
+        let chunks = ArmChunks::open(&node, outline.recipe.arms)?;
         let spawned = policy_verb(policy, compute, outside);
         let own = ChildProcess::start(spawned, node, (control, status))?;
-        let shown = (query_every_steps, history_steps);
+        let shown = (query_every_steps, outline.history_steps);
         let peer = Peer::Own(Box::new(own));
         let mut child = Self::new(peer, chunks, shown, seed)?;
-        child.wait_until_ready(LOAD_NS_MAX, say)?;
-        Ok(child)
+        match child.wait_until_ready(LOAD_NS_MAX, say) {
+            Ok(()) => Ok(child),
+            Err(_) if child.has_refused() => Err(SessionError::BadArgument(format!(
+                "policy {}: its process has refused it, as said above",
+                policy.display()
+            ))),
+            Err(error) => Err(error),
+        }
     }
 
     /// Waits until the external policy behind `link`, of `arms` arms, is ready.
@@ -249,6 +258,14 @@ impl PolicyChild {
         await_ready(self, (self.clock, within_ns), &events, say)
     }
 
+    /// Whether a process of ours has ended because its policy can't be loaded.
+    fn has_refused(&mut self) -> bool {
+        match &mut self.peer {
+            Peer::Own(own) => own.exit_code() == Some(BAD_INPUT),
+            Peer::External(_) => false,
+        }
+    }
+
     fn tell_to_begin(&self) -> Result<(), SessionError> {
         let command = RunCommand::Run { seed: self.seed };
         let run = RunControl::new(TimeNs(0), self.episode, command);
@@ -259,6 +276,15 @@ impl PolicyChild {
     /// From now on instants are those of the run's `clock`.
     pub(super) const fn follow(&mut self, clock: MonotonicClock) {
         self.of_run = clock;
+    }
+
+    /// Tells a process of ours to go, without waiting for it; one that is still loading is ended later.
+    pub(super) fn tell_to_go(&self) {
+        if let Peer::Own(own) = &self.peer
+            && own.listens
+        {
+            let _told = own.tell_to_go();
+        }
     }
 
     /// Waits until it may have said something, or for [`LOOK_NS`].
@@ -440,10 +466,10 @@ fn policy_verb(policy: &Path, compute: Compute, outside: Outside<'_>) -> Spawned
 }
 
 /// The task must have the cameras that the network was trained with.
-pub(super) fn check_cameras(setup: &Setup, network: &LoadedPolicy) -> Result<(), SessionError> {
-    for (index, (name, trained)) in camera_names(network)
+pub(super) fn check_cameras(setup: &Setup, recipe: &Recipe) -> Result<(), SessionError> {
+    for (index, (name, trained)) in camera_names(recipe)
         .into_iter()
-        .zip(&network.recipe().cameras)
+        .zip(&recipe.cameras)
         .enumerate()
     {
         let Some(camera) = setup.task.cameras.iter().find(|camera| camera.name == name) else {

@@ -81,6 +81,11 @@ impl<S: Message> ChildProcess<S> {
         exit.map(|exit| format!("{} ended: {exit}", self.spawned.who))
     }
 
+    /// The code with which it has ended, if it has.
+    pub(super) fn exit_code(&mut self) -> Option<i32> {
+        self.process.try_wait().ok().flatten()?.code()
+    }
+
     /// Ends the process, if it still is, with all that it had in shared memory, and starts another one.
     pub(super) fn start_again(&mut self) -> Result<(), SessionError> {
         self.listens = false;
@@ -93,12 +98,15 @@ impl<S: Message> ChildProcess<S> {
         Ok(())
     }
 
+    /// Tells the process to go, without waiting for it; `false` if it can't be told.
+    pub(super) fn tell_to_go(&self) -> bool {
+        let stop = RunControl::new(TimeNs(0), 1, RunCommand::Stop);
+        self.control.publish(&stop).is_ok()
+    }
+
     /// Tells the process to go and waits for it a while; `true` if it went and cleaned up.
     fn goes_by_itself(&mut self) -> bool {
-        let told = self
-            .control
-            .publish(&RunControl::new(TimeNs(0), 1, RunCommand::Stop));
-        if told.is_err() {
+        if !self.tell_to_go() {
             return false;
         }
         let clock = MonotonicClock::new();

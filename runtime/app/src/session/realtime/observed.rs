@@ -62,7 +62,7 @@ impl ObservationBuffer {
         node: &TopicNode,
         network: &LoadedPolicy,
     ) -> Result<Self, SessionError> {
-        let cameras = camera_names(network)
+        let cameras = camera_names(network.recipe())
             .iter()
             .map(|camera| CameraTopic::subscriber(node, camera))
             .collect::<Result<Vec<_>, _>>()?;

@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use tch::Device;
-use trocar_nets::loaded_policy::LoadedPolicy;
+use trocar_nets::loaded_policy::PolicyOutline;
 
 use super::child::{Outside, PolicyChild, check_cameras};
 use super::remote_arms::PrintLine;
@@ -16,7 +15,7 @@ use crate::session::{Plan, PolicyChoice, SessionError};
 /// A policy that does not answer yet.
 pub(super) enum Opened<'a> {
     /// A checkpoint in this folder, which will have a process of its own.
-    Network(Box<LoadedPolicy>, &'a Path),
+    Network(Box<PolicyOutline>, &'a Path),
     /// An external policy's process, after its handshake.
     External(Box<ExternalLink>),
     /// A policy of this process.
@@ -35,9 +34,9 @@ impl<'a> Opened<'a> {
         let drawn = task.filter(|_| plan.cameras_on.is_none());
         match &plan.policy {
             PolicyChoice::Checkpoint(folder) => {
-                let network = robot.network(folder, Device::Cpu)?;
-                drawn.map_or(Ok(()), |setup| check_cameras(setup, &network))?;
-                Ok(Self::Network(Box::new(network), folder))
+                let outline = robot.outline(folder)?;
+                drawn.map_or(Ok(()), |setup| check_cameras(setup, &outline.recipe))?;
+                Ok(Self::Network(Box::new(outline), folder))
             }
             PolicyChoice::External(choice) => {
                 let topics = outside.map_or(Ok(choice.topics()), |it| it.topics_of(choice))?;
@@ -81,10 +80,13 @@ impl<'a> Opened<'a> {
     /// The cameras that it looks through, with their sizes in pixels if it asks for some.
     pub(super) fn cameras(&self) -> Vec<(String, Option<(u32, u32)>)> {
         match self {
-            Self::Network(network, _) => {
-                let sizes = network.recipe().cameras.iter();
+            Self::Network(outline, _) => {
+                let sizes = outline.recipe.cameras.iter();
                 let sizes = sizes.map(|camera| Some((camera.width, camera.height)));
-                camera_names(network).into_iter().zip(sizes).collect()
+                camera_names(&outline.recipe)
+                    .into_iter()
+                    .zip(sizes)
+                    .collect()
             }
             Self::External(link) => {
                 let names = link.cameras.iter();
@@ -116,9 +118,9 @@ impl<'a> Opened<'a> {
     ) -> Result<(Option<PolicyChild>, Option<ChunkSource>), SessionError> {
         let child = match self {
             Self::Local(source) => return Ok((None, Some(*source))),
-            Self::Network(network, folder) => {
+            Self::Network(outline, folder) => {
                 let asked = (plan.seed, plan.compute);
-                PolicyChild::start(&network, folder, asked, outside, say)?
+                PolicyChild::start(&outline, folder, asked, outside, say)?
             }
             Self::External(link) => {
                 let arms = plan.setup.robot().arms();

@@ -79,6 +79,11 @@ impl<'a> Supervised<'a> {
         Ok(())
     }
 
+    /// Tells a process of ours that the run is over: it goes while the log is closed.
+    pub(super) fn tell_to_go(&self) {
+        self.child.tell_to_go();
+    }
+
     /// Starts it again when it is time to; why the run ends with it, if so.
     pub(super) fn look_after(&mut self, signals: &Signals) -> Result<Option<String>, SessionError> {
         if signals.lacks(HoldCause::Frames) {

@@ -59,6 +59,9 @@ pub(super) fn watch(
             None => rt::sleep_ns(IDLE_NS),
         }
     }
+    if let Some(policy) = &policy {
+        policy.tell_to_go();
+    }
     watched.ended_by = watched.ended_by.or_else(|| signals.overruns());
     Ok(watched)
 }
