@@ -69,6 +69,16 @@ pub(crate) fn error(error: &dyn Error) {
     tell(&(text + "\n"));
 }
 
+/// What the command line is answered with in place of a verb, help or an error; the program's exit code.
+pub(crate) fn usage(answer: &clap::Error) -> u8 {
+    let written = answer.print().and_then(|()| std::io::stdout().flush());
+    let full = written.is_err_and(|error| error.kind() != ErrorKind::BrokenPipe);
+    match answer.exit_code() {
+        0 => u8::from(full),
+        _ => 2,
+    }
+}
+
 /// A duration in two units.
 pub(crate) fn duration(seconds: f64) -> String {
     let duration = Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX);

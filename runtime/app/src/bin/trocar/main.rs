@@ -29,13 +29,11 @@ mod study;
 mod train;
 mod train_args;
 
-use std::process::ExitCode;
-
 use clap::Parser;
 
 use trocar::rt;
 use trocar::session::operator::Command;
-use trocar::session::outputs;
+use trocar::session::{SessionError, outputs};
 use trocar_control::OperatorEvent;
 
 use args::{Cli, Verb};
@@ -57,17 +55,25 @@ fn panics_end_the_program() {
     }));
 }
 
-fn main() -> ExitCode {
+fn main() {
     rt::quieten_mesa();
     panics_end_the_program();
+    rt::end_process(exit_code())
+}
+
+/// Does what the command line says; the program's exit code.
+fn exit_code() -> u8 {
     if let Err(error) = trocar::study::child::end_with_parent() {
         console::error(&error);
-        return ExitCode::from(1);
+        return 1;
     }
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(answer) => return console::usage(&answer),
+    };
     if let Err(error) = rt::check_slow_motion() {
         console::error(&error);
-        return ExitCode::from(2);
+        return 2;
     }
     if rt::slow_motion() > 1 {
         console::warning(&format!(
@@ -78,7 +84,19 @@ fn main() -> ExitCode {
     if cli.verb.json().is_some_and(outputs::is_standard_output) {
         console::leave_stdout_to_json();
     }
-    let result = match &cli.verb {
+    match done(&cli.verb) {
+        Ok(true) if !console::stdout_failed() => 0,
+        Ok(_) => 1,
+        Err(error) => {
+            console::error(&error);
+            if error.is_bad_input() { 2 } else { 1 }
+        }
+    }
+}
+
+/// Does what `verb` says; whether it was done.
+fn done(verb: &Verb) -> Result<bool, SessionError> {
+    match verb {
         Verb::Run(args) => commands::run(args),
         Verb::Eval(args) => eval::eval(args),
         Verb::Record(args) => record::record(args),
@@ -115,13 +133,5 @@ fn main() -> ExitCode {
         Verb::Cameras(args) => cameras::cameras(args),
         Verb::PolicyProcess(args) => commands::policy_process(args),
         Verb::Environment(args) => environment::environment(args),
-    };
-    match result {
-        Ok(true) if !console::stdout_failed() => ExitCode::SUCCESS,
-        Ok(_) => ExitCode::from(1),
-        Err(error) => {
-            console::error(&error);
-            ExitCode::from(if error.is_bad_input() { 2 } else { 1 })
-        }
     }
 }
