@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""A TorchScript model, and what MONAI's sliding window makes of it, to hold `trocar_nets::segmenter` to.
+"""MONAI's UNet as TorchScript, and what MONAI's sliding window makes of it, to hold `trocar_nets::segmenter` to.
 
     pip install torch==2.11.0 monai==1.5.1
-    python tests/scripts/segmenter_golden.py tests/golden                    # a small network of our own: what is committed
-    python tests/scripts/segmenter_golden.py --monai-unet target/scratch/unet   # MONAI's UNet instead
+    python tests/scripts/segmenter_golden.py tests/golden      # what is committed
+    python tests/scripts/segmenter_golden.py --channels 16,32,64 --strides 2,2 target/scratch/unet   # a larger one
     TROCAR_SEGMENTER=target/scratch/unet cargo test -p trocar-nets --lib segmenter
 
 Into the given folder go segmenter.ts, exported as MONAI's bundles are (`torch.jit.script`), and segmenter.json: cases with every 199th
@@ -12,6 +12,7 @@ of the averaged scores. The volume is a formula that the test has as well.
 
 import argparse
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -31,37 +32,37 @@ CASES = [
 STRIDE = 199
 
 
-class Small(torch.nn.Module):
-    """One level down and up, with the layers of MONAI's UNet."""
-
-    def __init__(self):
-        super().__init__()
-        self.down = torch.nn.Sequential(
-            torch.nn.Conv3d(1, 6, 3, stride=2, padding=1), torch.nn.InstanceNorm3d(6), torch.nn.PReLU(), torch.nn.Conv3d(6, 8, 3, padding=1)
-        )
-        self.up = torch.nn.ConvTranspose3d(8, 4, 3, stride=2, padding=1, output_padding=1)
-        self.out = torch.nn.Conv3d(5, CLASSES, 3, padding=1)
-
-    def forward(self, x):
-        return self.out(torch.cat([x, torch.relu(self.up(self.down(x)))], dim=1))
-
-
 def volume(dims):
     x, y, z = np.meshgrid(*(np.arange(side, dtype=np.float64) for side in dims), indexing="ij")
     hounsfield = 500.0 * np.sin(0.37 * x + 0.11 * y) + 300.0 * np.cos(0.23 * z - 0.013 * x * y)
     return torch.from_numpy(hounsfield.astype(np.float32))
 
 
+def whole_numbers(text):
+    return tuple(int(word) for word in text.split(","))
+
+
+def export(network, path):
+    """Writes the script without its debug records, which name source files of this machine."""
+    torch.jit.script(network).save(str(path))
+    with zipfile.ZipFile(path) as whole:
+        records = [(record, whole.read(record)) for record in whole.infolist() if not record.filename.endswith(".debug_pkl")]
+    with zipfile.ZipFile(path, "w") as kept:
+        for record, data in records:
+            kept.writestr(zipfile.ZipInfo(record.filename), data, record.compress_type)
+    torch.jit.load(str(path))
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--monai-unet", action="store_true")
+    parser.add_argument("--channels", type=whole_numbers, default=(4, 8, 16))
+    parser.add_argument("--strides", type=whole_numbers, default=(2, 2))
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(3)
-    network = UNet(3, 1, CLASSES, (8, 16, 32), (2, 2), num_res_units=2) if options.monai_unet else Small()
-    network = network.eval()
-    torch.jit.script(network).save(str(options.folder / "segmenter.ts"))
+    network = UNet(3, 1, CLASSES, options.channels, options.strides, num_res_units=2).eval()
+    export(network, options.folder / "segmenter.ts")
     low, high = WINDOW_HU
     cases = []
     for dims, patch, overlap, mode in CASES:
