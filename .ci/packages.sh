@@ -23,3 +23,5 @@ install_debian() {
     "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
         die "apt-get could not install: ${missing[*]} (is the package mirror reachable?)"
 }
+
+install_npm() { command -v npm >/dev/null || install_debian npm; }

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Makes the virtual environment with which others' programs judge the anatomy crate, in target/anatomy, and puts the Khronos glTF validator
-# beside it where there is npm, and label volumes that no one here made. Safe to run twice and to cut off anywhere: nothing counts until
-# it is complete and named.
+# Makes the virtual environment with which others' programs judge the anatomy crate, in target/anatomy, and puts beside it the Khronos glTF
+# validator, by npm, which is installed if missing, and label volumes that no one here made. Safe to run twice and to cut off anywhere:
+# nothing counts until it is complete and named.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -16,16 +16,15 @@ name=setup-anatomy
 
 install_programs() {
     local made_of
-    made_of="${packages[*]} $validator $(python3 -c 'import sys; print(sys.base_prefix, sys.version.split()[0])') $(command -v npm || true) $PWD"
+    made_of="${packages[*]} $validator $(python3 -c 'import sys; print(sys.base_prefix, sys.version.split()[0])') $PWD"
     [ "$(cat "$venv/complete" 2>/dev/null)" != "$made_of" ] || return 0
+    install_npm
     has_venv || die 'python3 here has no venv module: install python3-venv, and run this again'
     say "installing ${packages[*]}"
     rm -rf "$venv"
     python3 -m venv "$venv" >&2
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "${packages[@]}" >&2 || die 'PyPI could not be reached or lacks a package'
-    if command -v npm >/dev/null; then
-        npm install --silent --no-audit --no-fund --prefix "$venv" "$validator" >&2 || die 'npm could not install the glTF validator'
-    fi
+    npm install --silent --no-audit --no-fund --prefix "$venv" "$validator" >&2 || die 'npm could not install the glTF validator'
     printf '%s\n' "$made_of" >"$venv/complete.part"
     mv "$venv/complete.part" "$venv/complete"
 }

@@ -13,7 +13,7 @@ name=setup-browser
 
 install_iwer() {
     [ ! -e "$iwer/iwer.min.js" ] || return 0
-    command -v npm >/dev/null || install_debian npm
+    install_npm
     mkdir -p "$cache"
     exec 9>"$cache/lock"
     flock -n 9 || { say 'waiting for another set-up to finish'; flock 9; }
