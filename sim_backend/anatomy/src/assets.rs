@@ -6,6 +6,7 @@
 mod foreign;
 mod glb;
 mod gltf;
+mod part;
 mod read;
 mod tetra;
 mod usda;
@@ -20,7 +21,8 @@ use crate::number::single;
 
 pub use glb::glb;
 pub use gltf::Numbers;
-pub use read::{Part, PatientError, file_of, read};
+pub use part::Part;
+pub use read::{PatientError, file_of, read};
 pub use tetra::tetrahedra_usda;
 pub use usda::{level_file, levels_usda, usda};
 pub use usdz::usdz;

@@ -3,18 +3,10 @@
 use std::path::Path;
 
 use crate::dicom::{self, DicomError};
-use crate::grid::Grid;
 use crate::nifti::{NiftiError, read_slices};
 use crate::number::single;
 
-/// A volume of CT values.
-#[derive(Clone, Debug)]
-pub struct Ct {
-    /// Where its voxels lie.
-    pub grid: Grid,
-    /// Values, HU, the first axis fastest.
-    pub hounsfield: Vec<f32>,
-}
+pub use crate::hounsfield::Ct;
 
 /// Why a CT is refused.
 #[derive(Debug, thiserror::Error)]

@@ -19,7 +19,7 @@ use arrange::arrange;
 use attributes::{Attributes, READ, Slice};
 use elements::{Wanted, read};
 
-use crate::ct::Ct;
+use crate::hounsfield::Ct;
 use crate::number::single;
 
 /// Why a series is refused.

@@ -11,6 +11,7 @@ pub mod dicom;
 mod geometry;
 pub mod grid;
 pub mod groups;
+mod hounsfield;
 pub mod measure;
 pub mod mesh;
 pub mod nifti;

@@ -11,7 +11,7 @@ use hal::Mesh;
 use hal::count::count_u32;
 use nalgebra::{Point3, Vector3};
 
-use super::read::{PARTS_MAX, Part, fault};
+use super::part::{PARTS_MAX, Part, fault};
 
 pub(super) use glb::of_glb;
 pub(super) use usd::{is_usd, of_usd};

@@ -6,11 +6,11 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use hal::Mesh;
-use nalgebra::Vector3;
 use serde::Deserialize;
 
 use super::foreign;
 use super::gltf::{FLOAT, UNSIGNED_INT, chunks};
+use super::part::{PARTS_MAX, Part, fault};
 use super::{FRAME, GLB_FILE};
 
 /// Most bytes of a file.
@@ -18,27 +18,6 @@ const BYTES_MAX: u64 = 256 << 20;
 
 /// How names of files end that may be a patient; those of binary OpenUSD are there for the reason that it is refused with.
 const FILES: [&str; 5] = ["glb", "usda", "usdz", "usd", "usdc"];
-
-/// Most groups of a patient.
-pub(super) const PARTS_MAX: usize = 64;
-
-/// How far from the scan's origin a vertex may be, m.
-const FAR_M: f32 = 10.0;
-
-/// A tissue group as it lies in the file.
-#[derive(Clone, Debug)]
-pub struct Part {
-    /// Its name.
-    pub name: String,
-    /// Its surface in the scan's world (RAS), m; vertices are split where texture coordinates have seams.
-    pub mesh: Mesh,
-    /// Base colour, linear RGB in [0, 1].
-    pub colour: [f32; 3],
-    /// Roughness of the surface in [0, 1].
-    pub roughness: f32,
-    /// Strength of the clear film on it in [0, 1].
-    pub wetness: f32,
-}
 
 /// Why there is no patient in a folder.
 #[derive(Debug, thiserror::Error)]
@@ -286,24 +265,4 @@ impl Content<'_> {
 fn vectors(words: &[u32]) -> Vec<[f32; 3]> {
     let vectors = words.as_chunks::<3>().0.iter();
     vectors.map(|v| v.map(f32::from_bits)).collect()
-}
-
-/// What is wrong with a mesh.
-pub(super) fn fault(mesh: &Mesh) -> Option<&'static str> {
-    let near = |p: &[f32; 3]| p.iter().all(|x| x.abs() <= FAR_M);
-    let unit = |n: &[f32; 3]| (Vector3::from(*n).norm() - 1.0).abs() <= 0.01;
-    let there = |index: &u32| (*index as usize) < mesh.positions.len();
-    if mesh.indices.is_empty() || !mesh.indices.len().is_multiple_of(3) {
-        Some("it has no whole number of triangles")
-    } else if mesh.positions.len() != mesh.normals.len() {
-        Some("it has more or fewer normals than vertices")
-    } else if !mesh.positions.iter().all(near) {
-        Some("a vertex is not finite or further than 10 m away")
-    } else if !mesh.normals.iter().all(unit) {
-        Some("a normal has not the length 1")
-    } else if !mesh.indices.iter().all(there) {
-        Some("a triangle has a corner that is not there")
-    } else {
-        None
-    }
 }

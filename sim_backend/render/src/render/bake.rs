@@ -7,7 +7,7 @@ use hal::count::count_u32;
 use wgpu::util::DeviceExt;
 
 use super::Shading;
-use super::targets::texture;
+use super::textures::texture;
 use crate::visual::{Material, Pattern};
 
 /// Side of the square that a pattern is painted in, m; beyond it the pattern is mirrored.

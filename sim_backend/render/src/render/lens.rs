@@ -4,7 +4,7 @@
 use hal::Intrinsics;
 
 use super::records::{put, put_f64};
-use super::targets::{COLOUR_FORMAT, INSTANCE_FORMAT, RANGE_FORMAT, texture, whole};
+use super::textures::{COLOUR_FORMAT, INSTANCE_FORMAT, RANGE_FORMAT, texture, whole};
 use super::{Camera, RenderError};
 
 /// Bytes of a lens' record, see `lens.wgsl`.

@@ -19,6 +19,7 @@ mod records;
 mod scene;
 mod station;
 mod targets;
+mod textures;
 
 use std::sync::{Mutex, PoisonError};
 

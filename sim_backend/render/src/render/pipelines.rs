@@ -3,10 +3,8 @@
 use super::bake::{PATTERN_SIZE_M, Paints};
 use super::records::{self, Records};
 use super::scene::{BAKED_BYTES, Scene, UNROLLED_BYTES, VERTEX_BYTES};
-use super::targets::{
-    COLOUR_FORMAT, DEPTH_FORMAT, FAR, INSTANCE_FORMAT, RANGE_FORMAT, colour_samples,
-    depth_attachment, texture, whole,
-};
+use super::targets::{FAR, colour_samples, depth_attachment};
+use super::textures::{COLOUR_FORMAT, DEPTH_FORMAT, INSTANCE_FORMAT, RANGE_FORMAT, texture, whole};
 use super::{Shading, maps};
 use crate::visual::Pattern;
 

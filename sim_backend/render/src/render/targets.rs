@@ -12,15 +12,9 @@ use super::RenderError;
 use super::Shading;
 use super::gpu::Gpu;
 use super::lens::{Lens, LensPass, Window};
-
-/// Colour as the frame holds it, encoded by the shader, with a fourth byte.
-pub(super) const COLOUR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
-/// Instance id.
-pub(super) const INSTANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R8Uint;
-/// Metres along the camera's z.
-pub(super) const RANGE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
-/// Visibility.
-pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+use super::textures::{
+    COLOUR_FORMAT, DEPTH_FORMAT, INSTANCE_FORMAT, RANGE_FORMAT, sampled, texture,
+};
 
 /// One image to read back: where it is drawn and where its rows lie in the staging buffer.
 struct Plane {
@@ -298,50 +292,6 @@ impl Plane {
             .chunks_exact(self.pitch_bytes as usize)
             .map(move |row| &row[..row_bytes])
     }
-}
-
-/// A colour target that takes what is drawn as it is.
-pub(super) const fn whole(format: wgpu::TextureFormat) -> Option<wgpu::ColorTargetState> {
-    Some(wgpu::ColorTargetState {
-        format,
-        blend: None,
-        write_mask: wgpu::ColorWrites::ALL,
-    })
-}
-
-/// A single-sample texture.
-pub(super) fn texture(
-    device: &wgpu::Device,
-    label: &str,
-    width: u32,
-    height: u32,
-    format: wgpu::TextureFormat,
-    usage: wgpu::TextureUsages,
-) -> wgpu::Texture {
-    sampled(device, label, [width, height, 1], format, usage)
-}
-
-fn sampled(
-    device: &wgpu::Device,
-    label: &str,
-    [width, height, samples]: [u32; 3],
-    format: wgpu::TextureFormat,
-    usage: wgpu::TextureUsages,
-) -> wgpu::Texture {
-    device.create_texture(&wgpu::TextureDescriptor {
-        label: Some(label),
-        size: wgpu::Extent3d {
-            width,
-            height,
-            depth_or_array_layers: 1,
-        },
-        mip_level_count: 1,
-        sample_count: samples,
-        dimension: wgpu::TextureDimension::D2,
-        format,
-        usage,
-        view_formats: &[],
-    })
 }
 
 /// A depth attachment starts at the far plane.

@@ -15,7 +15,7 @@ use nalgebra::{Matrix4, Point3, Quaternion, Translation3, UnitQuaternion, Vector
 
 use super::{Collection, Looks, RAS, Welded};
 use crate::assets::gltf::chunks;
-use crate::assets::read::Part;
+use crate::assets::part::Part;
 
 /// Most nodes of a scene, and most vertices and corners of triangles of all its meshes.
 const NODES_MAX: usize = 4096;

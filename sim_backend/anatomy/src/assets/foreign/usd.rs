@@ -17,7 +17,7 @@ use std::str;
 use nalgebra::{Matrix4, Point3};
 
 use super::{Collection, Looks, RAS, Welded};
-use crate::assets::read::Part;
+use crate::assets::part::Part;
 use crate::number::{real, single};
 use layer::{FLATTEN, Layer, Prim};
 use parse::layer;

@@ -5,7 +5,7 @@ use hal::random::SplitMix64;
 use nalgebra::Point3;
 
 use super::of_usd;
-use crate::assets::read::Part;
+use crate::assets::part::Part;
 
 /// A tetrahedron of 1 along the axes, its faces outwards.
 const TETRAHEDRON: &str = "int[] faceVertexCounts = [3, 3, 3, 3]
