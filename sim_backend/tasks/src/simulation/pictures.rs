@@ -5,7 +5,7 @@ use trocar_render::visual::instance;
 
 use super::{Rendering, Simulation};
 use crate::scene::SceneSnapshot;
-use crate::task::{SIDE, TaskConfig};
+use crate::task::{Calibration, SIDE, TaskConfig};
 
 /// What endoscope and side camera together see of a task at its start.
 pub(crate) struct Looks {
@@ -106,6 +106,82 @@ fn every_task_shows_all_of_its_parts() {
             looks.check(needle < ground - 0.1, "unlike what it lies on");
         }
     }
+}
+
+/// Pixels of a plain picture, along one axis, whose rays fall on the centre of a pixel of a calibrated one by OpenCV's formula: both indices.
+/// `plain` and `calibrated` are focal length and principal point.
+fn matching(size: u32, plain: [f64; 2], calibrated: [f64; 2]) -> Vec<(usize, usize)> {
+    let pairs = (0..size).filter_map(|pixel| {
+        let ray = (f64::from(pixel) + 0.5 - plain[1]) / plain[0];
+        let place = calibrated[0] * ray + calibrated[1];
+        let mut others = 0..size - 1;
+        let other = others.find(|other| (f64::from(*other) - place).abs() < 1e-6)?;
+        Some((pixel as usize, other as usize))
+    });
+    pairs.collect()
+}
+
+/// Of a camera with pixels three times as narrow, off centre, a pixel with the ray of a plain camera's pixel shows its id, depth and colour. The
+/// next column or row does not: half a pixel would be seen.
+#[test]
+fn calibrated_camera_sees_along_opencvs_rays() {
+    let plain = TaskConfig::shipped("needle-lift");
+    // The endoscope's lens would change the light.
+    let mut standing = plain.cameras.iter();
+    let side = standing.position(|camera| camera.name == SIDE).unwrap();
+    let lens = plain.cameras[side].intrinsics();
+    let calibration = Calibration {
+        fx_px: 3.0 * lens.fx,
+        fy_px: lens.fy,
+        cx_px: lens.cx - 0.5 + 31.0,
+        cy_px: lens.cy - 0.5 - 4.0,
+    };
+    let mut calibrated = plain.clone();
+    calibrated.cameras[side].vertical_fov_rad = None;
+    calibrated.cameras[side].calibration = Some(calibration);
+    let shoot = |task: &TaskConfig| {
+        let mut simulation = Simulation::new(task, 1, Rendering::On).unwrap();
+        let mut frame = simulation.cameras().unwrap().blank_frame(side).unwrap();
+        simulation.render(side, &mut frame).unwrap();
+        frame
+    };
+    let (before, seen) = (shoot(&plain), shoot(&calibrated));
+    assert_eq!(seen.intrinsics, calibrated.cameras[side].intrinsics());
+
+    let Calibration { fx_px, fy_px, .. } = calibration;
+    let columns = matching(lens.width, [lens.fx, lens.cx], [fx_px, calibration.cx_px]);
+    let rows = matching(lens.height, [lens.fy, lens.cy], [fy_px, calibration.cy_px]);
+    assert!(columns.len() > 150 && rows.len() > 500);
+    let wide = lens.width as usize;
+    let (mut pixels, mut other_ids, mut colour) = (0, 0, 0_u32);
+    // Differences of depth at the place, a column and a row beside it.
+    let mut apart = [0.0; 3];
+    for &(row, seen_row) in &rows {
+        for &(column, seen_column) in &columns {
+            let (from, to) = (row * wide + column, seen_row * wide + seen_column);
+            pixels += 1;
+            other_ids += u32::from(before.instance[from] != seen.instance[to]);
+            for channel in 0..3 {
+                let bytes = (
+                    before.colour[3 * from + channel],
+                    seen.colour[3 * to + channel],
+                );
+                colour += u32::from(bytes.0.abs_diff(bytes.1));
+            }
+            let beside = [to, to + 1, to + wide];
+            if beside
+                .iter()
+                .all(|at| seen.instance[*at] == before.instance[from])
+            {
+                for (sum, at) in apart.iter_mut().zip(beside) {
+                    *sum += f64::from((seen.depth_m[at] - before.depth_m[from]).abs());
+                }
+            }
+        }
+    }
+    assert!(500 * other_ids < pixels, "{other_ids} of {pixels}");
+    assert!(colour < 8 * 3 * pixels, "{colour} of {pixels} pixels");
+    assert!(apart[0] < 0.1 * apart[1].min(apart[2]), "{apart:?}");
 }
 
 #[test]

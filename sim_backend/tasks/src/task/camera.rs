@@ -2,7 +2,7 @@
 
 use core::f64::consts::PI;
 
-use hal::config::{ConfigError, Source};
+use hal::config::{ConfigError, Source, number_text};
 use hal::{Distortion, Intrinsics};
 use nalgebra::Vector3;
 use serde::Deserialize;
@@ -25,6 +25,39 @@ pub enum Mount {
     Wrist,
 }
 
+/// Greatest vertical field of view, rad.
+const FOV_RAD_MAX: f64 = 0.9 * PI;
+
+/// Least and greatest focal length over the picture's width or height: 162 and 3 degrees of view.
+const FOCAL_SHARE: [f64; 2] = [0.08, 20.0];
+
+/// What the calibration of a pinhole gives, as OpenCV and ROS' `camera_info` have it: a ray through `x`, `y`, 1 in the camera frame falls on
+/// column `fx_px x + cx_px` and row `fy_px y + cy_px`, counted from 0 at the centre of the first pixel, which is 0.5 less than in [`Intrinsics`].
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// Focal length along x, pixels.
+    pub fx_px: f64,
+    /// Focal length along y, pixels.
+    pub fy_px: f64,
+    /// Column of the principal point, pixels.
+    pub cx_px: f64,
+    /// Row of the principal point, pixels.
+    pub cy_px: f64,
+}
+
+impl Calibration {
+    /// That of the same picture with `across` and `down` times the columns and rows.
+    fn scaled(self, [across, down]: [f64; 2]) -> Self {
+        Self {
+            fx_px: across * self.fx_px,
+            fy_px: down * self.fy_px,
+            cx_px: across * (self.cx_px + 0.5) - 0.5,
+            cy_px: down * (self.cy_px + 0.5) - 0.5,
+        }
+    }
+}
+
 /// A camera.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -43,14 +76,17 @@ pub struct CameraConfig {
     pub width: u32,
     /// Image height, pixels.
     pub height: u32,
-    /// Vertical field of view, rad.
-    pub vertical_fov_rad: f64,
-    /// Distortion of the lens, `k1`, `k2`, `p1`, `p2` of [`Distortion`]; none if not given. The field of view is the one without.
+    /// Vertical field of view, rad, of square pixels around the middle. A camera has either this or a calibration.
+    pub vertical_fov_rad: Option<f64>,
+    /// What a calibration gives instead: `intrinsics` in the file.
+    #[serde(rename = "intrinsics")]
+    pub calibration: Option<Calibration>,
+    /// Distortion of the lens, `k1`, `k2`, `p1`, `p2` of [`Distortion`]; none if not given. Field of view and calibration are those without.
     #[serde(default)]
     pub distortion: [f64; 4],
     /// Where the lens is, in the frame of the mount, m.
     pub eye_m: [f64; 3],
-    /// The point in the middle of the image, in the frame of the mount, m.
+    /// The point on the lens' axis, in the middle of the image unless a calibration has the principal point elsewhere; in the frame of the mount, m.
     pub target_m: [f64; 3],
     /// The direction that is up in the image, in the frame of the mount.
     pub up: [f64; 3],
@@ -60,10 +96,23 @@ impl CameraConfig {
     /// The lens.
     #[must_use]
     pub fn intrinsics(&self) -> Intrinsics {
-        Intrinsics {
-            distortion: Distortion::new(self.distortion),
-            ..Intrinsics::from_vertical_fov(self.width, self.height, self.vertical_fov_rad)
+        let (width, height) = (self.width, self.height);
+        let fov_rad = self.vertical_fov_rad.unwrap_or(FOV_RAD_MAX);
+        let mut lens = Intrinsics::from_vertical_fov(width, height, fov_rad);
+        if let Some(calibration) = self.calibration {
+            (lens.fx, lens.fy) = (calibration.fx_px, calibration.fy_px);
+            (lens.cx, lens.cy) = (calibration.cx_px + 0.5, calibration.cy_px + 0.5);
         }
+        lens.distortion = Distortion::new(self.distortion);
+        lens
+    }
+
+    /// Takes pictures of another size; a calibrated camera shows in them what it showed before, others keep their vertical field of view.
+    pub fn resize(&mut self, width: u32, height: u32) {
+        let shares = [(width, self.width), (height, self.height)]
+            .map(|(now, before)| f64::from(now) / f64::from(before));
+        self.calibration = self.calibration.map(|it| it.scaled(shares));
+        (self.width, self.height) = (width, height);
     }
 
     /// The right eye beside this camera, which is the left one: `baseline_m` to its right, with the same point in the middle.
@@ -134,21 +183,58 @@ impl CameraConfig {
         }
     }
 
+    /// Either the field of view or the calibration must be there, and the principal point in the picture.
+    fn check_lens(&self, source: &Source, index: usize) -> Result<(), ConfigError> {
+        let key = |name: &str| format!("camera.{index}.{name}");
+        let fov = key("vertical_fov_rad");
+        match (self.vertical_fov_rad, self.calibration) {
+            (Some(fov_rad), None) => source.check_range(&fov, fov_rad, 0.05, FOV_RAD_MAX),
+            (None, Some(lens)) => {
+                let [wide, high] = [self.width, self.height].map(f64::from);
+                let focal = |size: f64| FOCAL_SHARE.map(|share| share * size);
+                let place = |size: f64| [-0.5, size - 0.5];
+                let bounds = [
+                    ("fx_px", lens.fx_px, focal(wide)),
+                    ("fy_px", lens.fy_px, focal(high)),
+                    ("cx_px", lens.cx_px, place(wide)),
+                    ("cy_px", lens.cy_px, place(high)),
+                ];
+                bounds
+                    .into_iter()
+                    .try_for_each(|(name, value, [low, high])| {
+                        let key = key(&format!("intrinsics.{name}"));
+                        source.check_range(&key, value, low, high)
+                    })
+            }
+            (Some(fov_rad), Some(_)) => Err(source.refused(
+                &fov,
+                &number_text(fov_rad),
+                "intrinsics say what the lens is like; give either",
+            )),
+            (None, None) => {
+                Err(source.out_of_range(&fov, "absent", "a field of view, or intrinsics instead"))
+            }
+        }
+    }
+
     /// The numbers must be those of a lens that shows nothing twice.
     fn check_distortion(&self, source: &Source, key: &str) -> Result<(), ConfigError> {
         for (place, value) in self.distortion.iter().enumerate() {
             source.check_range(&format!("{key}.{place}"), *value, -5.0, 5.0)?;
         }
-        let half = |size: u32, focal: f64| 0.5 * f64::from(size) / focal;
         let lens = self.intrinsics();
-        // Beyond, the pinhole's image that the picture is made from would be too large.
-        let most = [
-            2.0 * half(lens.width, lens.fx),
-            2.0 * half(lens.height, lens.fy),
+        let sides = [
+            (lens.width, lens.fx, lens.cx),
+            (lens.height, lens.fy, lens.cy),
         ];
+        // Beyond, the pinhole's image that the picture is made from, which has what it shows besides, would be too large.
         let reaches = |field: [[f64; 2]; 2]| {
-            let mut sides = field.iter().zip(most);
-            sides.all(|([low, high], most)| high - low < 1.9 * most)
+            let mut both = field.iter().zip(sides);
+            both.all(|([low, high], (size, focal, centre))| {
+                let size = f64::from(size) / focal;
+                let first = -centre / focal;
+                high.max(first + size) - low.min(first) < 1.9 * size
+            })
         };
         if lens.field().is_some_and(reaches) {
             return Ok(());
@@ -170,12 +256,7 @@ impl CameraConfig {
         }
         source.check_range(&key("width"), f64::from(self.width), 16.0, 4096.0)?;
         source.check_range(&key("height"), f64::from(self.height), 16.0, 4096.0)?;
-        source.check_range(
-            &key("vertical_fov_rad"),
-            self.vertical_fov_rad,
-            0.05,
-            0.9 * PI,
-        )?;
+        self.check_lens(source, index)?;
         self.check_distortion(source, &key("distortion"))?;
         for axis in 0..3 {
             source.check_range(&key(&format!("eye_m.{axis}")), self.eye_m[axis], -2.0, 2.0)?;

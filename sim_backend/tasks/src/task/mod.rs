@@ -35,7 +35,7 @@ use trocar_render::visual::{Backdrop, PARTS, Part, Visual};
 use trocar_world::tissue::TissueConfig;
 use trocar_world::{ArmStart, Scenery, WorldConfig};
 
-pub use camera::{CameraConfig, ENDOSCOPE, Mount, SIDE};
+pub use camera::{Calibration, CameraConfig, ENDOSCOPE, Mount, SIDE};
 pub use criteria::{Criteria, Criterion};
 pub use files::{SAFETY_FILE, SCENE_FILE, TaskError, TaskFiles};
 pub(crate) use judge::{Judge, Monitor, MonitorInput};

@@ -100,6 +100,21 @@ fn value_out_of_range_is_named_with_line_key_and_range() {
             "camera.0.vertical_fov_rad = 4 is outside",
         ),
         (
+            "vertical_fov_rad",
+            "intrinsics = { fx_px = 400.0, fy_px = 500.0, cx_px = 512.0, cy_px = 200.0 }",
+            "camera.0.intrinsics.cx_px = 512 is outside [-0.5, 511.5]",
+        ),
+        (
+            "vertical_fov_rad",
+            "intrinsics = { fx_px = 400.0, fy_px = 4.0, cx_px = 250.0, cy_px = 200.0 }",
+            "camera.0.intrinsics.fy_px = 4 is outside [40.96, 10240]",
+        ),
+        (
+            "vertical_fov_rad",
+            "vertical_fov_rad = 0.6\nintrinsics = { fx_px = 400.0, fy_px = 500.0, cx_px = 250.0, cy_px = 200.0 }",
+            "camera.0.vertical_fov_rad = 0.6: intrinsics say what the lens is like",
+        ),
+        (
             "range_m",
             "range_m = [0.025, 0.5]",
             "needle_start.range_m.1 = 0.5 is outside",
@@ -134,6 +149,37 @@ fn value_out_of_range_is_named_with_line_key_and_range() {
             "{message}"
         );
     }
+}
+
+/// OpenCV's formula, whose columns and rows count from the centre of the first pixel; and the same lens in smaller pictures.
+#[test]
+fn calibrated_camera_projects_as_opencv_does() {
+    let lens = "intrinsics = { fx_px = 610.5, fy_px = 598.25, cx_px = 240.75, cy_px = 270.5 }\n\
+                distortion = [-0.31, 0.09, 0.0012, -0.0018]";
+    let (source, _) = doctored("vertical_fov_rad", lens);
+    let task = TaskConfig::parse("mine", &source).unwrap();
+    let mut camera = task.cameras[0].clone();
+    let [x, y] = [0.21_f64, -0.17];
+    let r2 = x * x + y * y;
+    let radial = 1.0 - 0.31 * r2 + 0.09 * r2 * r2;
+    let bent_x = x * radial + 2.0 * 0.0012 * x * y - 0.0018 * (r2 + 2.0 * x * x);
+    let bent_y = y * radial + 0.0012 * (r2 + 2.0 * y * y) - 2.0 * 0.0018 * x * y;
+    let (column, row) = (610.5 * bent_x + 240.75, 598.25 * bent_y + 270.5);
+    let [u, v] = camera.intrinsics().pixel([x, y]);
+    assert!((u - 0.5 - column).abs() < 1e-9 && (v - 0.5 - row).abs() < 1e-9);
+    camera.resize(256, 128);
+    let [small_u, small_v] = camera.intrinsics().pixel([x, y]);
+    assert!((small_u - 0.5 * u).abs() < 1e-9 && (small_v - 0.25 * v).abs() < 1e-9);
+}
+
+#[test]
+fn camera_without_field_of_view_and_calibration_is_an_error() {
+    let (source, _) = doctored("vertical_fov_rad", "");
+    let message = TaskConfig::parse("mine", &source).unwrap_err().to_string();
+    assert!(
+        message.contains("camera.0.vertical_fov_rad = absent is outside a field of view"),
+        "{message}"
+    );
 }
 
 #[test]

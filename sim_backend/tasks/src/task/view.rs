@@ -24,7 +24,7 @@ pub enum View {
     /// Each camera shifted along and turned about its own axes, each by a number that is uniform within
     /// [`VIEW1_SHIFT_M`] and [`VIEW1_TURN_RAD`] and depends on the episode's seed and the camera's name.
     View1,
-    /// Endoscope and side camera swapped: each has the place, the field of view and the distortion of the other, and keeps its name.
+    /// Endoscope and side camera swapped: each has the place and the lens of the other, and keeps its name.
     View2,
 }
 
@@ -106,9 +106,12 @@ impl TaskConfig {
 }
 
 impl CameraConfig {
-    /// Takes over place, field of view and distortion.
-    const fn stand_as(&mut self, other: &Self) {
-        self.vertical_fov_rad = other.vertical_fov_rad;
+    /// Takes over place and lens, in pictures of its own size.
+    fn stand_as(&mut self, other: &Self) {
+        let mut seen = other.clone();
+        seen.resize(self.width, self.height);
+        self.vertical_fov_rad = seen.vertical_fov_rad;
+        self.calibration = seen.calibration;
         self.distortion = other.distortion;
         self.eye_m = other.eye_m;
         self.target_m = other.target_m;

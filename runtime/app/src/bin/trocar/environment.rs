@@ -55,7 +55,7 @@ pub(crate) fn environment(args: &EnvironmentArgs) -> Done {
     let mut setup = args.config.setup(&args.task, &policy, &scenes)?;
     if let (Some(height), Some(width)) = (args.image_height, args.image_width) {
         for camera in &mut setup.task.cameras {
-            (camera.height, camera.width) = (height, width);
+            camera.resize(width, height);
         }
     }
     let mut seeds = std::io::stdin().lock().lines().map(|line| {

@@ -1,6 +1,7 @@
 //! Facts about views: how far they move what, on what that hangs, and what they leave alone.
 
 use super::*;
+use crate::task::Calibration;
 use nalgebra::{Point3, Vector3};
 use trocar_render::look_at;
 
@@ -93,6 +94,28 @@ fn view2_swaps_places_and_lenses_and_keeps_names_and_sizes() {
         };
         assert_eq!(names(&swapped), names(&task));
     }
+}
+
+/// A calibrated lens shows the same in pictures of the other camera's size.
+#[test]
+fn view2_swaps_calibrated_lenses() {
+    let mut task = TaskConfig::shipped("needle-lift");
+    let [endoscope, side] = [ENDOSCOPE, SIDE].map(|name| task.standing(name).unwrap());
+    task.cameras[side].resize(256, 128);
+    let camera = &mut task.cameras[endoscope];
+    camera.vertical_fov_rad = None;
+    camera.calibration = Some(Calibration {
+        fx_px: 700.0,
+        fy_px: 690.0,
+        cx_px: 250.0,
+        cy_px: 265.0,
+    });
+    let before = camera.intrinsics();
+    let after = task.with_view(View::View2).unwrap().cameras[side].intrinsics();
+    assert_eq!((after.width, after.height), (256, 128));
+    let ray = [0.1, -0.2];
+    let ([u, v], [small_u, small_v]) = (before.pixel(ray), after.pixel(ray));
+    assert!((small_u - 0.5 * u).abs() < 1e-9 && (small_v - 0.25 * v).abs() < 1e-9);
 }
 
 #[test]
