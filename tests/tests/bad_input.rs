@@ -378,5 +378,10 @@ fn disturbances_and_variations_that_cannot_be_are_refused() {
         message.contains("--vary lens: --depth keeps one lens a camera"),
         "{message}"
     );
+    let message = record("needle-lift", &["--vary", "smoke,distortion", "--depth"]);
+    assert!(
+        message.contains("--vary distortion: --depth keeps one lens a camera"),
+        "{message}"
+    );
     assert!(!Path::new(&out).exists());
 }

@@ -260,11 +260,15 @@ pub(super) fn unwritten(options: &RecordOptions, error: DatasetError) -> Session
 
 /// A dataset has one lens for the depth of a camera, by which clouds are made of it.
 fn check_lens(plan: &Plan, options: &RecordOptions) -> Result<(), SessionError> {
-    if options.depth && plan.setup.task.varied.contains(&Variation::Lens) {
-        let reason = "--vary lens: --depth keeps one lens a camera for all episodes; give either";
-        return Err(SessionError::BadArgument(reason.to_owned()));
+    let bend = [Variation::Lens, Variation::Distortion];
+    let mut varied = plan.setup.task.varied.iter();
+    match varied.find(|variation| bend.contains(variation)) {
+        Some(variation) if options.depth => Err(SessionError::BadArgument(format!(
+            "--vary {}: --depth keeps one lens a camera for all episodes; give either",
+            variation.name()
+        ))),
+        Some(_) | None => Ok(()),
     }
-    Ok(())
 }
 
 fn dataset_spec(setup: &Setup, options: &RecordOptions) -> DatasetSpec {

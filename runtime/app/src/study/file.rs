@@ -291,7 +291,7 @@ pub struct RecordingSection {
     pub depth: bool,
     /// Share of the demonstrations that are disturbed, with the expert's recovery (`record --disturb`).
     pub disturb: Option<f64>,
-    /// What is randomised: `needles`, `views`, `light`, `lens` (`record --vary`).
+    /// What is randomised: `needles`, `views`, `light`, `lens`, or effects of `lens` (`record --vary`).
     #[serde(default)]
     pub vary: Vec<String>,
     /// Further options of `trocar record`.

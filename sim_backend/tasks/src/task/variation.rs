@@ -24,13 +24,38 @@ pub enum Variation {
     Views,
     /// Light and colours differ within the bounds of [`Appearance`].
     Light,
-    /// Distortion, vignette, exposure, noise, smoke, blood and condensate differ within the bounds of [`Lens`].
+    /// All of [`Self::EFFECTS`] differ within the bounds of [`Lens`].
     Lens,
+    /// The lens' distortion alone, as it is with [`Self::Lens`].
+    Distortion,
+    /// The light that the corners lose.
+    Vignette,
+    /// The light that the sensor collects.
+    Exposure,
+    /// The sensor's noise.
+    Noise,
+    /// Smoke before the lens.
+    Smoke,
+    /// Blood on the lens.
+    Blood,
+    /// Condensate on the lens.
+    Fog,
 }
 
 impl Variation {
-    /// All of them.
+    /// All that there is to vary.
     pub const ALL: [Self; 4] = [Self::Needles, Self::Views, Self::Light, Self::Lens];
+
+    /// The single effects that [`Self::Lens`] has together.
+    pub const EFFECTS: [Self; 7] = [
+        Self::Distortion,
+        Self::Vignette,
+        Self::Exposure,
+        Self::Noise,
+        Self::Smoke,
+        Self::Blood,
+        Self::Fog,
+    ];
 
     /// The name on the command line and in results.
     #[must_use]
@@ -40,6 +65,13 @@ impl Variation {
             Self::Views => "views",
             Self::Light => "light",
             Self::Lens => "lens",
+            Self::Distortion => "distortion",
+            Self::Vignette => "vignette",
+            Self::Exposure => "exposure",
+            Self::Noise => "noise",
+            Self::Smoke => "smoke",
+            Self::Blood => "blood",
+            Self::Fog => "fog",
         }
     }
 }
@@ -61,7 +93,14 @@ const fn refusal(variation: Variation) -> &'static str {
         Variation::Needles => "has no choice of needles",
         Variation::Views => "has its cameras moved by the view already",
         Variation::Light => "has no light",
-        Variation::Lens => "has no lens",
+        Variation::Lens
+        | Variation::Distortion
+        | Variation::Vignette
+        | Variation::Exposure
+        | Variation::Noise
+        | Variation::Smoke
+        | Variation::Blood
+        | Variation::Fog => "has no lens",
     }
 }
 
@@ -167,13 +206,14 @@ pub struct Drawn {
     /// Light and colours, if they are varied.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light: Option<Appearance>,
-    /// Lens and sensor of each camera, if they are varied.
+    /// Lens and sensor of each camera, if any of their effects is varied.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub lenses: BTreeMap<String, Lens>,
 }
 
 impl TaskConfig {
-    /// The same task, in which `variations` are drawn anew for each episode.
+    /// The same task, in which `variations` are drawn anew for each episode; single effects of lenses go without saying beside
+    /// [`Variation::Lens`].
     ///
     /// # Errors
     /// [`CannotVary`] for needles of a task that has one only, and for views of one that is not seen from [`View::Train`].
@@ -181,7 +221,15 @@ impl TaskConfig {
         let can = |task: &Self, variation| match variation {
             Variation::Needles => task.scene.needles().len() > 1,
             Variation::Views => task.view == View::Train,
-            Variation::Light | Variation::Lens => true,
+            Variation::Light
+            | Variation::Lens
+            | Variation::Distortion
+            | Variation::Vignette
+            | Variation::Exposure
+            | Variation::Noise
+            | Variation::Smoke
+            | Variation::Blood
+            | Variation::Fog => true,
         };
         for &variation in variations {
             if !can(&self, variation) {
@@ -193,8 +241,11 @@ impl TaskConfig {
                 });
             }
         }
+        let effects = Variation::EFFECTS.into_iter();
+        let effects = effects.filter(|_| !variations.contains(&Variation::Lens));
         self.varied = Variation::ALL
             .into_iter()
+            .chain(effects)
             .filter(|variation| variations.contains(variation))
             .collect();
         if self.varied.contains(&Variation::Views) {
@@ -228,10 +279,11 @@ impl TaskConfig {
             lenses: self
                 .cameras
                 .iter()
-                .filter(|_| varies(Variation::Lens))
+                .filter(|_| varies(Variation::Lens) || Variation::EFFECTS.into_iter().any(varies))
                 .map(|camera| {
-                    let lens = Lens::draw(seed, &camera.name, &camera.intrinsics());
-                    (camera.name.clone(), lens)
+                    let intrinsics = camera.intrinsics();
+                    let lens = Lens::draw(seed, &camera.name, &intrinsics);
+                    (camera.name.clone(), lens.with(&self.varied, &intrinsics))
                 })
                 .collect(),
         }

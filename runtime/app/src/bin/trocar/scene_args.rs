@@ -63,6 +63,20 @@ pub(crate) enum VaryChoice {
     /// corner's light), exposure (0.71 to 1.4 times), noise, and in three of ten episodes each smoke, blood and condensate. Not
     /// with --depth, whose lens is one for the dataset.
     Lens,
+    /// Of lens the distortion alone, as it draws it; so are the following. Not with --depth.
+    Distortion,
+    /// The light that the corners lose.
+    Vignette,
+    /// The light that the sensor collects.
+    Exposure,
+    /// The sensor's noise.
+    Noise,
+    /// Smoke.
+    Smoke,
+    /// Blood on the lens.
+    Blood,
+    /// Condensate on the lens.
+    Fog,
 }
 
 impl From<VaryChoice> for Variation {
@@ -72,6 +86,13 @@ impl From<VaryChoice> for Variation {
             VaryChoice::Views => Self::Views,
             VaryChoice::Light => Self::Light,
             VaryChoice::Lens => Self::Lens,
+            VaryChoice::Distortion => Self::Distortion,
+            VaryChoice::Vignette => Self::Vignette,
+            VaryChoice::Exposure => Self::Exposure,
+            VaryChoice::Noise => Self::Noise,
+            VaryChoice::Smoke => Self::Smoke,
+            VaryChoice::Blood => Self::Blood,
+            VaryChoice::Fog => Self::Fog,
         }
     }
 }

@@ -5,7 +5,9 @@ use serde::{Deserialize, Serialize};
 use trocar_render::Optics;
 use trocar_world::rng::Rng;
 
-/// By which share the ray in the corner of the pinhole's picture is moved outwards by the radial distortion of the second
+use super::Variation;
+
+/// By which share the ray in the furthest corner of the pinhole's picture is moved outwards by the radial distortion of the second
 /// power: inwards mostly, as endoscopes do. `k1` follows from it and the field of view.
 const RADIAL: [f64; 2] = [-0.12, 0.02];
 /// The same of the fourth power, `k2`.
@@ -57,9 +59,10 @@ impl Lens {
     pub(super) fn draw(seed: u64, name: &str, intrinsics: &Intrinsics) -> Self {
         let mut air = Rng::stream(seed, "smoke");
         let mut rng = Rng::stream(seed, &format!("lens {name}"));
-        let corner = |size: u32, focal: f64| 0.5 * f64::from(size) / focal;
-        let r2 = corner(intrinsics.width, intrinsics.fx).powi(2)
-            + corner(intrinsics.height, intrinsics.fy).powi(2);
+        let corner =
+            |centre: f64, size: u32, focal: f64| centre.max(f64::from(size) - centre) / focal;
+        let r2 = corner(intrinsics.cx, intrinsics.width, intrinsics.fx).powi(2)
+            + corner(intrinsics.cy, intrinsics.height, intrinsics.fy).powi(2);
         let [k1, k2, p1, p2] = intrinsics.distortion.coefficients();
         let mut within = |[low, high]: [f64; 2]| rng.range(low, high);
         Self {
@@ -77,6 +80,27 @@ impl Lens {
             blood: sometimes(&mut rng, BLOOD),
             fog: sometimes(&mut rng, FOG),
             seed: u32::try_from(rng.next_u64() >> 32).unwrap_or_default(),
+        }
+    }
+
+    /// What is left of it with the effects in `varied` alone, on a camera that has `intrinsics` without them.
+    pub(super) fn with(self, varied: &[Variation], intrinsics: &Intrinsics) -> Self {
+        let has = |effect| varied.contains(&Variation::Lens) || varied.contains(&effect);
+        let or = |effect, drawn: f64, none: f64| if has(effect) { drawn } else { none };
+        Self {
+            distortion: if has(Variation::Distortion) {
+                self.distortion
+            } else {
+                intrinsics.distortion.coefficients()
+            },
+            vignette: or(Variation::Vignette, self.vignette, 0.0),
+            exposure: or(Variation::Exposure, self.exposure, 1.0),
+            shot_noise: or(Variation::Noise, self.shot_noise, 0.0),
+            read_noise: or(Variation::Noise, self.read_noise, 0.0),
+            smoke_per_m: or(Variation::Smoke, self.smoke_per_m, 0.0),
+            blood: or(Variation::Blood, self.blood, 0.0),
+            fog: or(Variation::Fog, self.fog, 0.0),
+            seed: self.seed,
         }
     }
 
@@ -113,7 +137,54 @@ fn sometimes(rng: &mut Rng, most: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::task::{TaskConfig, Variation};
+    use crate::task::TaskConfig;
+
+    /// For one seed an effect alone is what it is among all, and the rest is as if nothing were varied.
+    #[test]
+    fn a_single_effect_is_that_of_all_together() {
+        let task = |varied: &[Variation]| {
+            let task = TaskConfig::shipped("needle-lift");
+            task.with_variations(varied).unwrap()
+        };
+        let amounts = |lens: &Lens| {
+            [
+                (Variation::Vignette, lens.vignette),
+                (Variation::Exposure, lens.exposure),
+                (Variation::Noise, lens.shot_noise),
+                (Variation::Noise, lens.read_noise),
+                (Variation::Smoke, lens.smoke_per_m),
+                (Variation::Blood, lens.blood),
+                (Variation::Fog, lens.fog),
+            ]
+        };
+        let whole = task(&[Variation::Smoke, Variation::Lens]);
+        assert_eq!(whole.varied, [Variation::Lens]);
+        for effect in Variation::EFFECTS {
+            let single = task(&[effect]);
+            assert_eq!(single.varied, [effect]);
+            for (seed, camera) in
+                (0..20).flat_map(|seed| single.cameras.iter().map(move |it| (seed, it)))
+            {
+                let [found, all] =
+                    [&single, &whole].map(|task| task.drawn(seed).lenses[&camera.name].clone());
+                let distortion = if effect == Variation::Distortion {
+                    all.distortion
+                } else {
+                    camera.distortion
+                };
+                assert_eq!((found.distortion, found.seed), (distortion, all.seed));
+                for ((which, found), (_, all)) in amounts(&found).into_iter().zip(amounts(&all)) {
+                    let none = f64::from(u8::from(which == Variation::Exposure));
+                    let wanted = if which == effect { all } else { none };
+                    assert_eq!(
+                        found.to_bits(),
+                        wanted.to_bits(),
+                        "seed {seed}: {effect:?}, {which:?}"
+                    );
+                }
+            }
+        }
+    }
 
     #[test]
     fn lenses_keep_to_their_bounds_and_use_them() {

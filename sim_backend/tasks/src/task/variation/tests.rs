@@ -154,6 +154,30 @@ fn lenses_are_the_episodes() {
     }
 }
 
+/// Smoke alone changes colours alone, and only in the episodes that have some.
+#[test]
+fn smoke_can_be_alone() {
+    let (plain, smoky) = (
+        small("block-transfer"),
+        varied("block-transfer", &[Variation::Smoke]),
+    );
+    let amount = |seed: &u64| smoky.drawn(*seed).lenses["endoscope"].smoke_per_m;
+    let clear = (0..100).find(|seed| amount(seed) <= 0.0).unwrap();
+    let thick = (0..100).find(|seed| amount(seed) > 1.0).unwrap();
+    let mut cameras = None;
+    for (seed, is_clear) in [(clear, true), (thick, false)] {
+        let (before, used) = frames(&plain, seed, cameras);
+        let (seen, used) = frames(&smoky, seed, used);
+        cameras = used;
+        for (seen, before) in seen.iter().zip(&before) {
+            assert_eq!(seen.colour == before.colour, is_clear, "seed {seed}");
+            assert_eq!(seen.intrinsics, before.intrinsics);
+            assert_eq!(seen.instance, before.instance);
+            assert!(seen.depth_m == before.depth_m);
+        }
+    }
+}
+
 /// A sensor's noise is another one a millisecond later, though nothing moves that one could see.
 #[test]
 fn noise_goes_with_time() {
