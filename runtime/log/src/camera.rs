@@ -117,6 +117,26 @@ fn described(distortion: &Distortion) -> (String, Vec<f64>) {
     ("plumb_bob".to_owned(), vec![k1, k2, p1, p2, 0.0])
 }
 
+/// The lens that `message` says; none if it is not whole.
+pub(super) fn intrinsics(message: &CameraCalibration) -> Option<Intrinsics> {
+    let &[fx, _, cx, _, fy, cy, ..] = &message.K[..] else {
+        return None;
+    };
+    let distortion = match &message.D[..] {
+        &[k1, k2, p1, p2, ..] => Distortion::new([k1, k2, p1, p2]),
+        _ => Distortion::default(),
+    };
+    Some(Intrinsics {
+        width: message.width,
+        height: message.height,
+        fx,
+        fy,
+        cx,
+        cy,
+        distortion,
+    })
+}
+
 /// The lens of the camera `name`.
 pub(super) fn lens(at: TimeNs, name: &str, intrinsics: &Intrinsics) -> CameraCalibration {
     let Intrinsics {

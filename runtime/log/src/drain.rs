@@ -16,7 +16,7 @@ use super::bound::Bound;
 use super::error::LogError;
 use super::happened::StateChanges;
 use super::header::{Closing, LogCounts, RunOutcome};
-use super::item::{ChunkItem, SideItem, TickItem};
+use super::item::{ChunkItem, SceneItem, SideItem, TickItem};
 use super::level::Level;
 use super::sync::Syncing;
 use super::writer::LogWriter;
@@ -35,7 +35,7 @@ pub(super) struct Shared {
     pub(super) chunks_dropped: AtomicU64,
     /// Camera frames that found the queue full.
     pub(super) frames_dropped: AtomicU64,
-    /// Events that found the queue full.
+    /// Events and scenes that found their queue full.
     pub(super) events_dropped: AtomicU64,
     /// Hash of all inputs that were handed over, dropped ones included.
     pub(super) input_hash: AtomicU64,
@@ -61,6 +61,7 @@ pub(super) struct Drain {
     pub(super) ticks: Consumer<TickItem>,
     pub(super) chunks: Consumer<ChunkItem>,
     pub(super) side: Consumer<SideItem>,
+    pub(super) scenes: Consumer<SceneItem>,
     /// The outcome, sent when the run ends.
     pub(super) outcome: Receiver<RunOutcome>,
     pub(super) shared: Arc<Shared>,
@@ -93,6 +94,11 @@ impl Drain {
                 idle = false;
                 self.write_tick(&item);
             }
+            while let Ok(SceneItem { at, scene }) = self.scenes.pop() {
+                idle = false;
+                let result = self.writer.scene(at, &scene);
+                self.note(result);
+            }
             // One at a time: compressing a frame takes a while, and ticks must not pile up behind a row of them.
             while let Ok(item) = self.side.pop() {
                 idle = false;
@@ -114,6 +120,7 @@ impl Drain {
     fn is_alone(&self) -> bool {
         self.ticks.is_abandoned()
             && self.side.is_abandoned()
+            && self.scenes.is_abandoned()
             && Arc::strong_count(&self.shared) == 1
     }
 

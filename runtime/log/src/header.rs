@@ -23,6 +23,8 @@ pub struct RunHeader {
     pub view: String,
     /// The needle, in a task that has a choice.
     pub needle: Option<String>,
+    /// What is drawn anew for each episode, by name; empty if nothing is.
+    pub varied: Vec<String>,
     /// What was running: program, libraries, commit; name to version. Of a checkpoint `weights_sha256`, the SHA-256 of its weights.
     pub versions: BTreeMap<String, String>,
     /// The effective configuration; file name (`control.toml`) to text.
@@ -68,7 +70,7 @@ pub struct LogCounts {
     pub chunks_dropped: u64,
     /// Frames that found the queue full.
     pub frames_dropped: u64,
-    /// Events that found the queue full.
+    /// Events, and scenes of policy steps, that found their queue full.
     pub events_dropped: u64,
 }
 
@@ -102,11 +104,14 @@ impl RunHeader {
             ("view", self.view.clone()),
         ];
         let needle = self.needle.clone().map(|needle| ("needle", needle));
+        let varied = Some(("varied", self.varied.join(",")));
+        let varied = varied.filter(|_| !self.varied.is_empty());
         let left_out = Some(("left_out", self.left_out.to_string()));
         let left_out = left_out.filter(|_| self.left_out > 0);
         let run = run
             .into_iter()
             .chain(needle)
+            .chain(varied)
             .chain(left_out)
             .map(|(key, value)| (key.to_owned(), value))
             .collect();
@@ -133,6 +138,11 @@ impl RunHeader {
                 self.lockstep = map.get("lockstep").is_some_and(|text| text == "true");
                 self.view = map.get("view").cloned().unwrap_or_default();
                 self.needle = map.get("needle").cloned();
+                let varied = map.get("varied").into_iter();
+                self.varied = varied
+                    .flat_map(|names| names.split(','))
+                    .map(str::to_owned)
+                    .collect();
                 self.left_out = number(&map, "left_out").unwrap_or(0);
             }
             VERSIONS => self.versions = map,

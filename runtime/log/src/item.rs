@@ -5,6 +5,7 @@ use hal::{Chunk, PerArm, TimeNs};
 use super::camera::FrameItem;
 use super::level::Level;
 use super::record::TickRecord;
+use super::scene::SceneRecord;
 
 /// A tick on its way.
 pub(super) struct TickItem {
@@ -20,6 +21,12 @@ pub(super) struct ChunkItem {
     /// The arm that was given it, from 0.
     pub(super) arm: usize,
     pub(super) chunk: Chunk,
+}
+
+/// A scene on its way.
+pub(super) struct SceneItem {
+    pub(super) at: TimeNs,
+    pub(super) scene: SceneRecord,
 }
 
 /// An event or a frame on its way.

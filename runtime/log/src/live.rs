@@ -18,7 +18,7 @@ use super::topic::{Schema, Topic, pose_topic};
 
 pub use super::frames::SCENE;
 pub use super::happened::StateChanges;
-pub use super::topic::{EVENTS, SHAPES, TRANSFORMS, camera_of, image_topic, lens_topic};
+pub use super::topic::{EVENTS, SHAPES, TASK, TRANSFORMS, camera_of, image_topic, lens_topic};
 
 /// A topic, and how its messages are encoded.
 #[derive(Clone, Debug, PartialEq, Eq)]

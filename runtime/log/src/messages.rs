@@ -5,6 +5,7 @@
 
 use hal::TimeNs;
 use hal::count::{count_u32, index};
+use nalgebra::{Translation3, UnitQuaternion};
 use prost::Message;
 
 /// A message's fields as they are written here: name, kind with number, type.
@@ -241,6 +242,18 @@ impl Timestamp {
         let seconds = u64::try_from(self.seconds).ok()?;
         let nanos = u64::try_from(self.nanos).ok()?;
         Some(TimeNs(seconds.checked_mul(NANOS)?.checked_add(nanos)?))
+    }
+}
+
+impl Pose {
+    /// The same as numbers to compute with; `None` if a part of it is missing.
+    pub(super) fn pose(&self) -> Option<hal::Pose> {
+        let (at, turn) = (self.position?, self.orientation?);
+        let turn = nalgebra::Quaternion::new(turn.w, turn.x, turn.y, turn.z);
+        Some(hal::Pose::from_parts(
+            Translation3::new(at.x, at.y, at.z),
+            UnitQuaternion::new_normalize(turn),
+        ))
     }
 }
 

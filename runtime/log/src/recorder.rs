@@ -21,10 +21,11 @@ use super::drain::{Drain, OnFailure, Shared};
 use super::error::LogError;
 use super::happened::StateChanges;
 use super::header::{LogCounts, RunHeader, RunOutcome};
-use super::item::{ChunkItem, SideItem, TickItem};
+use super::item::{ChunkItem, SceneItem, SideItem, TickItem};
 use super::level::Level;
 use super::record::TickRecord;
 use super::ring::pre_faulted_queue;
+use super::scene::SceneRecord;
 use super::sync::Syncing;
 use super::writer::LogWriter;
 use hal::ARMS_MAX;
@@ -68,6 +69,8 @@ const TICKS: usize = 4096;
 const CHUNKS: usize = 64;
 /// Frames and events that the queue holds.
 const SIDE_ITEMS: usize = 64;
+/// Scenes that the queue holds: two seconds of policy steps.
+const SCENES: usize = 50;
 
 /// One end of a queue to the writer thread.
 struct Feed<T> {
@@ -193,6 +196,21 @@ impl SideLog {
     }
 }
 
+/// The simulation's end of the log. Under [`Pressure::Drop`] it never waits.
+pub struct SceneLog {
+    queue: Feed<SceneItem>,
+    shared: Arc<Shared>,
+}
+
+impl SceneLog {
+    /// Writes where everything in the scene was at `at`, and how its task stood.
+    pub fn scene(&mut self, at: TimeNs, scene: SceneRecord) {
+        if !self.queue.push(SceneItem { at, scene }) {
+            self.shared.events_dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
 /// The file and the thread that writes it.
 pub struct LogFile {
     path: PathBuf,
@@ -204,7 +222,7 @@ pub struct LogFile {
 impl LogFile {
     /// Writes everything that was handed over, then `outcome` if there is one, and closes the file.
     ///
-    /// Drop or idle the other two ends first: what they hand over afterwards may be lost.
+    /// Drop or idle the other ends first: what they hand over afterwards may be lost.
     ///
     /// # Errors
     /// [`LogError`] when anything could not be written.
@@ -229,6 +247,7 @@ impl LogFile {
 pub struct Recorder {
     ticks: TickLog,
     side: SideLog,
+    scenes: SceneLog,
     file: LogFile,
 }
 
@@ -266,6 +285,7 @@ impl Recorder {
         let (tick_end, ticks) = pre_faulted_queue(TICKS);
         let (chunk_end, chunks) = pre_faulted_queue(CHUNKS);
         let (side_end, side) = RingBuffer::new(SIDE_ITEMS);
+        let (scene_end, scenes) = RingBuffer::new(SCENES);
         let shared = Arc::new(Shared::default());
         let (outcome_sender, outcome) = mpsc::sync_channel(1);
         let drain = Drain {
@@ -274,6 +294,7 @@ impl Recorder {
             ticks,
             chunks,
             side,
+            scenes,
             outcome,
             shared: Arc::clone(&shared),
             counts: LogCounts::default(),
@@ -307,6 +328,10 @@ impl Recorder {
                 queue: Feed::new(side_end, pressure, &writer),
                 shared: Arc::clone(&shared),
             },
+            scenes: SceneLog {
+                queue: Feed::new(scene_end, pressure, &writer),
+                shared: Arc::clone(&shared),
+            },
             file: LogFile {
                 path: path.to_owned(),
                 shared,
@@ -336,10 +361,15 @@ impl Recorder {
         self.side.frame(name, frame);
     }
 
+    /// See [`SceneLog::scene`].
+    pub fn scene(&mut self, at: TimeNs, scene: SceneRecord) {
+        self.scenes.scene(at, scene);
+    }
+
     /// Takes the recorder apart, one end for each thread.
     #[must_use]
-    pub fn split(self) -> (TickLog, SideLog, LogFile) {
-        (self.ticks, self.side, self.file)
+    pub fn split(self) -> (TickLog, SideLog, SceneLog, LogFile) {
+        (self.ticks, self.side, self.scenes, self.file)
     }
 
     /// See [`LogFile::finish`].

@@ -9,11 +9,16 @@ pub(crate) mod two_arms;
 
 use std::path::PathBuf;
 
-use hal::{ArmError, ArmState, CameraFrame, Chunk, Intrinsics, JointVector, TimeNs, TipTarget};
+use hal::{
+    ArmError, ArmState, CameraFrame, Chunk, Distortion, Intrinsics, JointVector, Pose, TimeNs,
+    TipTarget,
+};
+use nalgebra::Vector3;
 
 use super::{
-    ArmRecord, LogCounts, LogError, Loss, Pressure, Recorder, RunHeader, RunLog, TickRecord,
-    TickTiming, Writing,
+    ArmRecord, CriterionRecord, FlapRecord, LogCounts, LogError, LoggedItem, Loss, Pressure,
+    Recorder, RunHeader, RunLog, SceneRecord, TaskRecord, TickRecord, TickTiming, Writing,
+    read_items,
 };
 use hal::PerArm;
 use trocar_control::OperatorEvent;
@@ -136,9 +141,9 @@ fn what_was_dropped_is_counted_and_named() {
 fn the_outcome_is_written_though_the_other_ends_are_long_gone() {
     let file = Scratch::new("late-outcome");
     let recorder = Recorder::create(&file.0, &header(), Pressure::Drop).unwrap();
-    let (mut ticks, side, log_file) = recorder.split();
+    let (mut ticks, side, scenes, log_file) = recorder.split();
     ticks.tick(&record(0));
-    drop((ticks, side));
+    drop((ticks, side, scenes));
     // Ten times as long as the writer thread takes to look again.
     std::thread::park_timeout(std::time::Duration::from_millis(20));
     log_file.finish(Some(&outcome())).unwrap();
@@ -147,6 +152,80 @@ fn the_outcome_is_written_though_the_other_ends_are_long_gone() {
         (log.outcome.clone(), log.tick_count()),
         (Some(outcome()), 1)
     );
+}
+
+/// Scenes and views are there for whoever looks on, and nothing to a replay.
+#[test]
+fn scenes_and_views_come_back_beside_the_ticks() {
+    let file = Scratch::new("scenes");
+    let mut recorder = Recorder::create(&file.0, &header(), Pressure::Block).unwrap();
+    let scene = |step: u32| SceneRecord {
+        moment_ms: 40 * step,
+        things: vec![Pose::translation(0.1, f64::from(step) / 3.0, 5e-324)],
+        arms: vec![[Pose::rotation(Vector3::new(0.1, 0.2, 1.0 / 3.0)); 5]],
+        flap: Some(FlapRecord {
+            nodes_m: vec![[0.1, -1e-8, f32::MIN_POSITIVE]],
+            mark_m: [0.1, 0.2],
+        }),
+        task: TaskRecord {
+            missing: "not lifted".to_owned(),
+            criteria: vec![CriterionRecord {
+                name: "height".to_owned(),
+                unit: "m".to_owned(),
+                value: None,
+                goal: 0.02,
+                at_least: true,
+                met: false,
+            }],
+        },
+        ..SceneRecord::default()
+    };
+    let mut frame = CameraFrame::blank(Intrinsics {
+        distortion: Distortion::new([-0.2, 0.05, 0.001, -0.002]),
+        ..Intrinsics::from_vertical_fov(16, 8, 0.9)
+    });
+    frame.stamp = TimeNs::from_tick(40);
+    frame.camera_in_scene = Pose::new(Vector3::new(0.1, 0.2, 0.3), Vector3::new(0.0, 1.0, 0.5));
+    // More than the queue holds, before the ticks of the same time.
+    for tick in 0..40 * 60 {
+        if tick % 40 == 0 {
+            let step = u32::try_from(tick / 40).unwrap();
+            recorder.scene(TimeNs::from_tick(tick), scene(step));
+        }
+        recorder.tick(&record(tick));
+    }
+    recorder.frame("endoscope", &frame);
+    recorder.finish(Some(&outcome())).unwrap();
+
+    let log = RunLog::open(&file.0).unwrap();
+    assert_eq!((log.tick_count(), log.altered()), (40 * 60, false));
+    for ((logged, _), tick) in log.ticks().zip(0..) {
+        assert_same(logged, &record(tick));
+    }
+    let (mut scenes, mut views) = (Vec::new(), 0);
+    read_items(&file.0, |item| match item {
+        LoggedItem::Scene { at, message } => {
+            scenes.push((at, SceneRecord::read(message.as_bytes()).unwrap()));
+        }
+        LoggedItem::View {
+            camera,
+            at,
+            lens,
+            camera_in_scene,
+        } => {
+            views += 1;
+            assert_eq!((camera, at), ("endoscope", frame.stamp));
+            assert_eq!(*lens, frame.intrinsics);
+            let apart = camera_in_scene.inv_mul(&frame.camera_in_scene);
+            assert!(apart.translation.vector.norm() < 1e-12 && apart.rotation.angle() < 1e-12);
+        }
+        LoggedItem::Image { .. } | LoggedItem::Event { .. } | LoggedItem::Message { .. } => {}
+    })
+    .unwrap();
+    let expected = (0..60).map(|step| (TimeNs::from_tick(40 * u64::from(step)), scene(step)));
+    assert_eq!(scenes, expected.collect::<Vec<_>>());
+    assert_eq!(views, 1);
+    assert_eq!(SceneRecord::read(b"{\"moment_ms\": 1}"), None);
 }
 
 #[test]

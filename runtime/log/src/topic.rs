@@ -14,6 +14,9 @@ pub const TRANSFORMS: &str = "/tf";
 /// The topic of what happens, in words.
 pub const EVENTS: &str = "/events";
 
+/// The topic of a simulated scene at its policy steps.
+pub const TASK: &str = "/task";
+
 /// A topic that every log has. Cameras come on top, one pair of topics each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Topic {
@@ -37,10 +40,12 @@ pub(super) enum Topic {
     Events,
     /// Where frames are in each other: remote centres and cameras in the scene, tips from their centres.
     Transforms,
+    /// Where everything in a simulated scene is, and how its task stands.
+    Task,
 }
 
 /// How many topics [`Topic`] has.
-pub(super) const TOPIC_COUNT: usize = 10;
+pub(super) const TOPIC_COUNT: usize = 11;
 
 impl Topic {
     /// All of them, in the order of their numbers.
@@ -55,6 +60,7 @@ impl Topic {
         Self::Tick,
         Self::Events,
         Self::Transforms,
+        Self::Task,
     ];
 
     /// The names in the file, one for each arm; a single one where all arms share the topic.
@@ -72,6 +78,7 @@ impl Topic {
             Self::Tick => &["/psm1/tick", "/psm2/tick"],
             Self::Events => &[EVENTS],
             Self::Transforms => &[TRANSFORMS],
+            Self::Task => &[TASK],
         }
     }
 
@@ -96,6 +103,7 @@ impl Topic {
             Self::Safety => Schema::Json("trocar.Safety", SAFETY_SCHEMA),
             Self::Timing => Schema::Json("trocar.Timing", TIMING_SCHEMA),
             Self::Tick => Schema::Json("trocar.Tick", TICK_SCHEMA),
+            Self::Task => Schema::Json("trocar.Task", TASK_SCHEMA),
         }
     }
 }
@@ -111,6 +119,11 @@ pub fn image_topic(camera: &str) -> String {
 pub fn camera_of(topic: &str) -> Option<&str> {
     let camera = topic.strip_prefix("/camera/")?;
     (!camera.contains('/')).then_some(camera)
+}
+
+/// The camera that `topic` says something of besides its images, and what: `calibration` or `pose`.
+pub(super) fn beside_images(topic: &str) -> Option<(&str, &str)> {
+    topic.strip_prefix("/camera/")?.split_once('/')
 }
 
 /// The topic of a camera's lens.
@@ -215,3 +228,19 @@ const TICK_SCHEMA: &str = r#"{"title": "trocar.Tick", "type": "object",
   "chunk": {"type": ["object", "null"], "properties": {"sequence": {"type": "integer"},
     "record": {"type": ["integer", "null"], "description": "record of the chunk message; null if it was lost"}}},
   "enabled": {"type": "boolean", "description": "whether the drives were commanded to hold torque"}}}"#;
+
+const TASK_SCHEMA: &str = r#"{"title": "trocar.Task", "type": "object",
+"description": "Where everything in a simulated scene is at a policy step, and how its task stands. A pose has rotation (quaternion x, y, z, w) and translation (m), in the scene frame.",
+"properties": {
+  "moment_ms": {"type": "integer", "description": "age of the scene"},
+  "things": {"type": "array", "items": {"type": "object"}}, "goal": {"type": "object"},
+  "arms": {"type": "array", "items": {"type": "array", "minItems": 5, "maxItems": 5, "items": {"type": "object"},
+    "description": "shaft, wrist, left finger, right finger, tip"}},
+  "flap": {"type": ["object", "null"], "properties": {
+    "nodes_m": {"type": "array", "items": {"type": "array", "minItems": 3, "maxItems": 3, "items": {"type": "number"}}},
+    "mark_m": {"type": "array", "items": {"type": "number"}, "description": "in the material"}}},
+  "task": {"type": "object", "properties": {
+    "missing": {"type": "string", "description": "what success lacks, in words"},
+    "criteria": {"type": "array", "items": {"type": "object", "properties": {
+      "name": {"type": "string"}, "unit": {"type": "string"}, "value": {"type": ["number", "null"]},
+      "goal": {"type": "number"}, "at_least": {"type": "boolean"}, "met": {"type": "boolean"}}}}}}}}"#;

@@ -19,6 +19,7 @@ use super::json::{
 };
 use super::record::{ArmRecord, TickRecord};
 use super::safety::SafetyMessage;
+use super::scene::SceneRecord;
 use super::topic::{self, Schema, TOPIC_COUNT, Topic};
 use super::{Level, camera};
 
@@ -189,6 +190,11 @@ impl<W: Write + Seek> LogWriter<W> {
     pub(super) fn event(&mut self, at: TimeNs, level: Level, text: String) -> McapResult<()> {
         let log = level.line(at, text);
         self.protobuf(Topic::Events, 0, at, |_, buffer| log.encode(buffer))
+    }
+
+    /// Writes where everything in the scene is, and how its task stands.
+    pub(super) fn scene(&mut self, at: TimeNs, scene: &SceneRecord) -> McapResult<()> {
+        self.json(Topic::Task, 0, at, scene)
     }
 
     /// Writes a camera's image, lens and pose.

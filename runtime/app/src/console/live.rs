@@ -14,6 +14,7 @@ use crate::mailbox::MailboxReader;
 use crate::rig::can_traffic::Buses;
 use crate::rt::MonotonicClock;
 use crate::session::operator::{Command, exchange};
+use crate::session::scene_record;
 use crate::session::teleop::Hands;
 use hal::{Chunk, PerArm, TimeNs};
 use rtrb::Consumer;
@@ -134,7 +135,8 @@ impl Live {
         samples.chunks = samples.said.chunks.take().or(samples.chunks);
         let (sample, since) = samples.newest.as_ref()?;
         let silent_s = TimeNs(now.since(*since)).seconds();
-        let state = State::new(sample, &self.facts, silent_s, samples.task.as_ref());
+        let task = samples.task.as_ref().map(scene_record::task);
+        let state = State::new(sample, &self.facts, silent_s, task);
         let paths = samples.chunks.as_ref().map(|chunks| {
             let bases = &self.facts.rcms_in_scene;
             paths(chunks, sample.record.now, bases, &self.board.lenses())

@@ -52,6 +52,7 @@ use trocar_control::config::ArmConfig;
 use trocar_log::{Level, live as log_form, pre_faulted_queue};
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
+use trocar_tasks::simulation::Simulation;
 use trocar_tasks::task::Criteria;
 
 pub use address::{Address, BadAddress, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
@@ -96,6 +97,16 @@ pub struct TaskState {
     pub missing: &'static str,
     /// What has to be so for success.
     pub criteria: Criteria,
+}
+
+impl TaskState {
+    /// That of a simulated task.
+    pub(crate) fn of(simulation: &Simulation) -> Self {
+        Self {
+            missing: simulation.missing(),
+            criteria: simulation.criteria(),
+        }
+    }
 }
 
 /// The ends of a run that say what it does.

@@ -3,10 +3,8 @@
 use hal::{ARM_NAMES, ArmCommand, ArmState, TimeNs};
 use serde::Serialize;
 use trocar_control::{GateDecision, QpOutcome};
-use trocar_log::ArmRecord;
-use trocar_tasks::task::Criterion;
+use trocar_log::{ArmRecord, CriterionRecord, TaskRecord};
 
-use super::TaskState;
 use super::facts::Facts;
 use super::path::Path;
 use super::tap::{Buckets, Changed, Counts, Refused, Sample, seconds};
@@ -30,10 +28,10 @@ pub(super) struct State {
     latency: Histogram,
     speed_percent: u8,
     /// What the task still lacks, in words.
-    task: Option<&'static str>,
+    task: Option<String>,
     /// What has to be so for its success.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    criteria: Vec<Criterion>,
+    criteria: Vec<CriterionRecord>,
     /// Present if an operator's hands move the arms.
     #[serde(skip_serializing_if = "Option::is_none")]
     teleop: Option<TeleopStatus>,
@@ -148,9 +146,10 @@ impl State {
         sample: &Sample,
         facts: &Facts,
         silent_s: f64,
-        task: Option<&TaskState>,
+        task: Option<TaskRecord>,
     ) -> Self {
         let Sample { record, counts } = sample;
+        let (missing, criteria) = task.map(|task| (task.missing, task.criteria)).unzip();
         let arms = ARM_NAMES.into_iter().zip(record.arms.iter());
         let arms: Vec<_> = arms.map(|(name, arm)| arm_state(name, arm)).collect();
         Self {
@@ -167,8 +166,8 @@ impl State {
             },
             latency: (&counts.latency).into(),
             speed_percent: counts.speed_percent,
-            task: task.map(|task| task.missing),
-            criteria: task.map_or_else(Vec::new, |task| task.criteria.iter().copied().collect()),
+            task: missing,
+            criteria: criteria.unwrap_or_default(),
             teleop: None,
             buses: Vec::new(),
             paths: Vec::new(),

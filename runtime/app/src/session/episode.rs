@@ -11,6 +11,7 @@ use super::latency::{Deliveries, Latency};
 use super::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
 use super::summary::TissueSummary;
 use super::tally::Tally;
+use crate::console::TaskState;
 use crate::rig::{self, lockstep::LockstepRig};
 use crate::rt::MonotonicClock;
 use trocar_control::{AnyController, OperatorEvent};
@@ -36,6 +37,8 @@ pub struct StepView<'a> {
     pub answer: Option<&'a PerArm<Chunk>>,
     /// Where everything is, for pictures that are made later.
     pub snapshot: &'a SceneSnapshot,
+    /// How the task stands.
+    pub task: TaskState,
 }
 
 /// Observes an episode: a log, a dataset, images.
@@ -286,6 +289,7 @@ impl Running<'_> {
             frames,
             answer: answer.as_ref().map(|(chunks, _)| chunks),
             snapshot: &self.rig.simulation.snapshot(),
+            task: TaskState::of(self.rig.simulation),
         })?;
         Ok(answer)
     }

@@ -11,7 +11,7 @@ use trocar_tasks::task::Outcome;
 use super::ended::Ended;
 use super::episode::{EpisodeEnd, EpisodeObserver, StepView};
 use super::pictures::{STEP_MS, Thumbnails};
-use super::{Plan, SessionError};
+use super::{Plan, SessionError, scene_record};
 use trocar_log::{Recorder, TickRecord};
 
 /// Which trials are kept.
@@ -149,6 +149,7 @@ fn draw(
 
 impl EpisodeObserver for Keeper<'_> {
     fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
+        scene_record::keep(&mut self.recorder, view);
         let stamp = view.arms.first.state.stamp;
         self.steps.push((stamp, *view.snapshot));
         Ok(())

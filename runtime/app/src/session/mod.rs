@@ -35,6 +35,7 @@ mod record_resume;
 pub mod robot;
 pub mod run;
 pub mod scene_options;
+pub(crate) mod scene_record;
 pub mod score;
 pub mod segment;
 pub mod segment_training;

@@ -162,6 +162,12 @@ impl<S: Arms> Plan<S> {
             task: setup.task_name.clone(),
             view: setup.task.view.name().to_owned(),
             needle: setup.task.needle().map(str::to_owned),
+            varied: setup
+                .task
+                .varied
+                .iter()
+                .map(|it| it.name().to_owned())
+                .collect(),
             ..RunHeader::default()
         });
         RunHeader {

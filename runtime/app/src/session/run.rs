@@ -14,7 +14,7 @@ use super::pictures::Thumbnails;
 use super::source::ChunkSource;
 use super::summary::RunSummary;
 use super::teleop::Demonstration;
-use super::{Plan, SessionError, outputs, pictures};
+use super::{Plan, SessionError, outputs, pictures, scene_record};
 use crate::rt;
 use trocar_log::{LogError, Recorder, TickRecord};
 
@@ -124,6 +124,9 @@ impl EpisodeObserver for RunWatcher {
     }
 
     fn step(&mut self, view: &StepView<'_>) -> Result<(), SessionError> {
+        if let Some(recorder) = &mut self.recorder {
+            scene_record::keep(recorder, view);
+        }
         for (index, frame) in view.frames.iter().enumerate() {
             if let (Some(recorder), Some(name)) = (&mut self.recorder, self.cameras.get(index)) {
                 recorder.frame(name, frame);

@@ -137,6 +137,7 @@ pub(super) fn header() -> RunHeader {
         lockstep: true,
         view: "view2".to_owned(),
         needle: Some("N3".to_owned()),
+        varied: vec!["needles".to_owned(), "lens".to_owned()],
         versions: [("trocar".to_owned(), "0.1.0".to_owned())].into(),
         texts: [("safety.toml".to_owned(), "# µ\n[a]\nb = 1\n".to_owned())].into(),
         left_out: 0,

@@ -1,12 +1,10 @@
 //! What a task's judge looks for, in numbers: a table without memory of its own, for those who look on.
 
-use serde::Serialize;
-
 /// Criteria of a task at most.
 const CRITERIA_MAX: usize = 8;
 
 /// One thing that has to be so for success.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Criterion {
     /// What, in words.
     pub name: &'static str,

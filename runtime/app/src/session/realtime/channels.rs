@@ -66,7 +66,8 @@ impl ThreadChannels {
         let (noticed_in, noticed) = mailbox();
         let signals = Arc::new(Signals::of(console));
         let (listener, operator) = listen(false);
-        let (tick_log, side_log, log) = split(recorder);
+        // Of arms outside of the process no scene is known.
+        let (tick_log, side_log, _, log) = split(recorder);
         Self {
             control: ControlChannels {
                 measured: measured_in,

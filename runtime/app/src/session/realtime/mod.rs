@@ -91,7 +91,7 @@ use shown::show_task;
 use signals::{Moving, Signals};
 use simulation_thread::{SimulationEnd, SimulationThread};
 use threads::{Ends, wired};
-use trocar_log::{LogFile, Recorder, SideLog, TickLog, pre_faulted_queue};
+use trocar_log::{LogFile, Recorder, SceneLog, SideLog, TickLog, pre_faulted_queue};
 
 /// Chunks that may wait for the control thread.
 const CHUNK_QUEUE: usize = 8;
@@ -145,8 +145,9 @@ fn run_threads(
     let console = show_task(plan, &simulation.snapshot(), port)?;
     let (intervention, hands) = intervention(plan).unzip();
     let signals = Arc::new(Signals::of(plan.console.as_ref()));
-    let (observers, shown) = Observers::open(plan, stage, child.as_deref(), console)?;
-    let (tick_log, side_log, log) = split(plan.open_log(false)?);
+    let (observers, mut shown) = Observers::open(plan, stage, child.as_deref(), console)?;
+    let (tick_log, side_log, scenes, log) = split(plan.open_log(false)?);
+    shown.log = scenes;
     let clock = MonotonicClock::new();
     if let Some(console) = &plan.console {
         console.follow(clock);
@@ -205,11 +206,19 @@ fn intervention(plan: &Plan) -> Option<(Intervention, Consumer<TeleopCommand>)> 
     Some((intervention, from))
 }
 
+/// What the control thread, whoever observes and the simulation have of a log, and the log itself.
+type LogEnds = (
+    Option<TickLog>,
+    Option<SideLog>,
+    Option<SceneLog>,
+    Option<LogFile>,
+);
+
 /// The ends of a log, if there is one.
-fn split(recorder: Option<Recorder>) -> (Option<TickLog>, Option<SideLog>, Option<LogFile>) {
+fn split(recorder: Option<Recorder>) -> LogEnds {
     match recorder.map(Recorder::split) {
-        Some((ticks, side, file)) => (Some(ticks), Some(side), Some(file)),
-        None => (None, None, None),
+        Some((ticks, side, scenes, file)) => (Some(ticks), Some(side), Some(scenes), Some(file)),
+        None => (None, None, None, None),
     }
 }
 

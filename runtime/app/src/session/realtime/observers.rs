@@ -109,6 +109,7 @@ impl Observers {
             every_step: others,
             seen,
             console,
+            log: None,
         };
         Ok((Self { frames, states }, shown))
     }

@@ -16,10 +16,10 @@ use crate::console::{BETWEEN_NS, FrameTap, TaskState};
 use crate::histogram::Histogram;
 use crate::mailbox::MailboxWriter;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
-use crate::session::SessionError;
 use crate::session::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
 use crate::session::teleop::{CHUNK_TICKS, Demonstrating, Demonstration, Driver, Intervention};
-use trocar_log::Level;
+use crate::session::{SessionError, scene_record};
+use trocar_log::{Level, SceneLog};
 
 /// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
 const FRAME_EVERY_STEPS: u64 = 5;
@@ -50,6 +50,8 @@ pub(super) struct Shown {
     pub(super) seen: Option<MailboxWriter<PerArm<ArmState>>>,
     /// What the console sees, if there is one.
     pub(super) console: Option<ConsoleView>,
+    /// Where the scene of each step is kept, if there is a log.
+    pub(super) log: Option<SceneLog>,
 }
 
 /// What the console sees of the simulation.
@@ -85,11 +87,12 @@ impl Shown {
                 scene.put(snapshot());
             }
         }
+        if let Some(log) = &mut self.log {
+            let record = scene_record::record(&snapshot().scene, &TaskState::of(simulation));
+            log.scene(stamp, record);
+        }
         if let Some(console) = &mut self.console {
-            console.task.put(TaskState {
-                missing: simulation.missing(),
-                criteria: simulation.criteria(),
-            });
+            console.task.put(TaskState::of(simulation));
         }
         self.wakes.iter().for_each(Thread::unpark);
     }
