@@ -221,6 +221,7 @@ fn the_page_shows_a_log() {
     browser.wait_until(&format!(
         "Math.abs({time} - document.querySelector('#at').value) < 0.05"
     ));
+    looks_like_its_run(&mut browser, time);
     let before = browser.evaluate(time).as_f64().unwrap();
     for _ in 0..5 {
         browser.press("ArrowRight");
@@ -234,6 +235,31 @@ fn the_page_shows_a_log() {
     browser.evaluate("document.querySelector('#play').click()");
     browser.wait_until(&format!("{time} > 0.5"));
     assert_eq!(browser.errors, Vec::<String>::new());
+}
+
+/// The page on a log has what the page on its run had: the scene, depth and ids, the criteria, and where the chunks led.
+fn looks_like_its_run(browser: &mut Browser, time: &str) {
+    let scene = "document.querySelector('#scene-view').dataset";
+    browser.wait_until(&format!("Math.abs(Number({scene}.seconds) - {time}) < 0.1"));
+    let colours = browser.evaluate(SCENE);
+    assert!(colours[0].as_u64() > Some(300), "{colours}");
+    browser.wait_until(&format!("{PATH} > 1"));
+    browser.wait_until(&format!("Number({scene}.paths) > 1"));
+    browser.wait_until("document.querySelectorAll('#criteria-rows tr').length > 1");
+    let view = "document.querySelector('.view:last-child')";
+    for plane in ["ids", "off"] {
+        browser.evaluate(&format!("(() => {{ const select = {view}.querySelector('select'); select.value = '{plane}'; select.dispatchEvent(new Event('change')); }})()"));
+        browser.wait_until(&format!(
+            "{view}.querySelector('.frame').hidden === {}",
+            plane == "off"
+        ));
+    }
+    for plane in ["depth", "ids", "colour"] {
+        browser.evaluate(&format!("(() => {{ const select = document.querySelector('.view select'); select.value = '{plane}'; select.dispatchEvent(new Event('change')); }})()"));
+        browser.wait_until(&format!(
+            "document.querySelector('.view img').alt.includes('{plane}, at')"
+        ));
+    }
 }
 
 /// At another address than loopback the page is a secure context, as a headset's WebXR needs it, and everything comes by TLS.

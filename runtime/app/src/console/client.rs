@@ -4,6 +4,7 @@
 //! slow network, a page that draws) holds no queue of old pictures.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -90,6 +91,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
         over: shared.over.subscribe(),
         streams: Vec::new(),
         seen: BTreeMap::new(),
+        turn: 0,
         place: None,
         episode: 0,
         moved: false,
@@ -123,6 +125,8 @@ struct Page {
     streams: Vec<Stream>,
     /// The number of the picture that it has of each stream.
     seen: BTreeMap<Stream, u64>,
+    /// The place among its streams of the one that is next to get a picture of a log or a dataset.
+    turn: usize,
     /// Where in a log, or in an episode of a dataset, it looks.
     place: Option<f64>,
     episode: usize,
@@ -341,15 +345,12 @@ impl Page {
         if std::mem::take(&mut self.moved) {
             return Some(Outgoing::Text(log.state(seconds)?.into()));
         }
-        self.streams.iter().find_map(|stream| {
-            let (number, message) = log.picture(*stream, seconds)?;
-            let fresh = self.seen.insert(*stream, number) != Some(number);
-            fresh.then_some(Outgoing::Picture(message))
-        })
+        self.picture(
+            |stream| log.number(stream, seconds),
+            |stream| log.picture(stream, seconds),
+        )
     }
-}
 
-impl Page {
     /// What a dataset says of the place that this page looks at. Images are decoded here, in the server's thread: nothing runs beside it.
     fn of_dataset(&mut self, dataset: &DatasetView) -> Option<Outgoing> {
         let place = (self.episode, self.place?);
@@ -357,12 +358,29 @@ impl Page {
             return Some(Outgoing::Text(dataset.state(place)?.into()));
         }
         let frame = dataset.frame(place)?;
-        let number = frame as u64 + 1;
-        for stream in &self.streams {
-            if self.seen.insert(*stream, number) == Some(number) {
+        self.picture(
+            |_| Some(frame as u64 + 1),
+            |stream| dataset.picture(stream, frame),
+        )
+    }
+
+    /// A picture that this page lacks, of its streams in turn: `number` says which there is of a stream, `picture` makes it.
+    fn picture<E: Display>(
+        &mut self,
+        number: impl Fn(Stream) -> Option<u64>,
+        picture: impl Fn(Stream) -> Result<Option<Bytes>, E>,
+    ) -> Option<Outgoing> {
+        let count = self.streams.len();
+        for place in (self.turn..self.turn + count).map(|place| place % count) {
+            let stream = self.streams[place];
+            let Some(number) = number(stream) else {
+                continue;
+            };
+            if self.seen.insert(stream, number) == Some(number) {
                 continue;
             }
-            match dataset.picture(*stream, frame) {
+            self.turn = place + 1;
+            match picture(stream) {
                 Ok(Some(message)) => return Some(Outgoing::Picture(message)),
                 Ok(None) => {}
                 Err(damaged) => {

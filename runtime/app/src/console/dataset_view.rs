@@ -193,12 +193,12 @@ fn facts(dataset: &Dataset, notes: &Notes, by_hand: &[Vec<bool>]) -> Facts {
     });
     let keeps_depth = |camera: &&CameraSpec| camera.depth.is_some();
     let cameras = dataset.spec().cameras.iter();
+    let depth = cameras
+        .filter(keeps_depth)
+        .map(|camera| camera.name.clone())
+        .collect();
     let told = OfDataset {
         fps: dataset.fps(),
-        depth: cameras
-            .filter(keeps_depth)
-            .map(|camera| camera.name.clone())
-            .collect(),
         episodes: episodes.collect(),
     };
     let recorded = |key: &str| notes.recording.as_ref().and_then(|note| note[key].as_str());
@@ -208,7 +208,8 @@ fn facts(dataset: &Dataset, notes: &Notes, by_hand: &[Vec<bool>]) -> Facts {
     let ranges = || (0..STATE_WIDTH).map(|axis| range(dataset, axis)).collect();
     let axes = limits.as_ref().map_or_else(ranges, AxisRange::limits);
     let title = (dataset.task(), source);
-    Facts::of_dataset(title, arms, axes, dataset.camera_names().to_vec(), told)
+    let cameras = (dataset.camera_names().to_vec(), depth);
+    Facts::of_dataset(title, arms, axes, cameras, told)
 }
 
 /// The limits of the arms of the dataset's task, if it is a built-in one.

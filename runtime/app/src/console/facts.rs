@@ -21,6 +21,10 @@ pub struct Facts {
     pub(super) arms: Vec<String>,
     axes: Vec<AxisFacts>,
     pub(super) cameras: Vec<String>,
+    /// Of a log or a dataset, the cameras that have depth and ids.
+    pub(super) depth: Vec<String>,
+    /// Of a log, the cameras whose images are not in it but drawn.
+    drawn: Vec<String>,
     /// Whether there is a scene in three dimensions.
     pub(super) scene: bool,
     /// Upper ends of the histograms' buckets, us.
@@ -72,8 +76,6 @@ enum Subject {
 pub(super) struct OfDataset {
     /// Frames a second.
     pub(super) fps: u32,
-    /// Cameras that keep depth and ids.
-    pub(super) depth: Vec<String>,
     pub(super) episodes: Vec<EpisodeFacts>,
 }
 
@@ -169,18 +171,20 @@ impl Facts {
         Self::of(Subject::Drives, (title, "", seed), arms.collect(), cameras)
     }
 
-    /// Those of a dataset of `title` (its task, and who made it) with these `arms`, whose axes are drawn in these ranges.
+    /// Those of a dataset of `title` (its task, and who made it) with these `arms`, whose axes are drawn in these ranges, and cameras, some of
+    /// which keep depth and ids.
     pub(super) fn of_dataset(
         title: (&str, &str),
         arms: impl Iterator<Item = &'static str>,
         ranges: Vec<AxisRange>,
-        cameras: Vec<String>,
+        (cameras, depth): (Vec<String>, Vec<String>),
         dataset: OfDataset,
     ) -> Self {
         let arms = arms.map(str::to_owned).collect();
         Self {
             axes: axes(ranges),
             log: true,
+            depth,
             dataset: Some(dataset),
             ..Self::of(Subject::Dataset, (title.0, title.1, 0), arms, cameras)
         }
@@ -203,6 +207,8 @@ impl Facts {
             arms,
             axes: Vec::new(),
             cameras,
+            depth: Vec::new(),
+            drawn: Vec::new(),
             scene: false,
             buckets_us: BUCKETS_US.to_vec(),
             period_buckets_us: PERIOD_BUCKETS_US.to_vec(),
@@ -248,6 +254,16 @@ impl Facts {
     pub fn with_scene(mut self) -> Self {
         self.scene = true;
         self
+    }
+
+    /// The same of a log with a scene, of which these cameras are: they are drawn from there, but for images in the log.
+    pub(super) fn drawn(mut self, cameras: Vec<String>) -> Self {
+        let others = cameras.iter();
+        let others = others.filter(|name| !self.cameras.contains(name));
+        self.drawn = others.cloned().collect();
+        self.cameras.extend(self.drawn.iter().cloned());
+        self.depth = cameras;
+        self.with_scene()
     }
 
     /// The same of a log.

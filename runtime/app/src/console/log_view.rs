@@ -1,11 +1,12 @@
-//! A log as pages see it: states of all its ticks, recomputed by a controller of the logged configuration, its images, and what happened.
+//! A log as pages see it: states of all its ticks, recomputed by a controller of the logged configuration, its images, its scene, and what
+//! happened.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use axum::body::Bytes;
 use hal::config::Source;
-use hal::{ARM_NAMES, PerArm, TimeNs};
+use hal::{ARM_NAMES, Chunk, Intrinsics, PerArm, Pose, TICK_NS, TimeNs};
 use rtrb::RingBuffer;
 use trocar_control::{AnyController, ControlConfig, OperatingState, TickInput};
 use trocar_log::live;
@@ -15,6 +16,8 @@ use trocar_log::{LogEnd, LoggedItem, RunHeader, Step, TickRecord, read_items, re
 use super::encode;
 use super::facts::{EndFacts, EventFacts, Facts};
 use super::log_messages::LogMessages;
+use super::log_scene::LogScene;
+use super::path::{Lenses, paths};
 use super::pictures::{Plane, Stream};
 use super::state::{State, refusal};
 use super::tap::{ControlTap, seconds};
@@ -25,7 +28,7 @@ use crate::session::SessionError;
 /// Ticks from one state that is kept to the next, at first.
 const EVERY_TICKS: u64 = 20;
 
-/// Bytes of states that are kept, of some twenty minutes of one arm; of longer logs they are further apart.
+/// Bytes of states that are kept, of some ten minutes of one arm, and of scenes; of longer logs they are further apart.
 const STATE_BYTES_MAX: usize = 64 << 20;
 
 /// Bytes of images that are kept; of more, every second one goes.
@@ -44,10 +47,13 @@ const APART_TICKS: u64 = 500;
 #[derive(Debug)]
 pub(super) struct LogView {
     facts: Facts,
-    /// By tick.
-    states: BTreeMap<u64, Box<str>>,
-    first: u64,
+    states: States,
+    /// The first tick, and when it was.
+    first: (u64, TimeNs),
     images: Images,
+    scene: Option<LogScene>,
+    /// The scene's file; none of a log without a scene.
+    scene_file: Option<Bytes>,
     messages: LogMessages,
 }
 
@@ -58,10 +64,21 @@ impl LogView {
     /// [`SessionError::Log`] or [`SessionError::Replay`].
     pub(super) fn read(path: &Path, views: bool) -> Result<Self, SessionError> {
         let mut images = Images::default();
-        let mut events = Vec::new();
+        let (mut scenes, mut events) = (States::default(), Vec::new());
         let mut messages = LogMessages::default();
         read_items(path, |shown| match shown {
             LoggedItem::Image { camera, at, image } => images.keep(camera, at, image),
+            LoggedItem::View {
+                camera,
+                at,
+                lens,
+                camera_in_scene,
+            } => images.keep_view(camera, at, (*lens, *camera_in_scene)),
+            LoggedItem::Scene { at, message } => {
+                if scenes.wants(at.tick()) {
+                    scenes.keep(at.tick(), message.into());
+                }
+            }
             LoggedItem::Event { at, text } => events.push((at, text.to_owned())),
             LoggedItem::Message { topic, at, data }
                 if views && live::camera_of(topic).is_none() =>
@@ -74,19 +91,22 @@ impl LogView {
         let (header, end) = read_steps(path, |header, step| -> Result<(), SessionError> {
             let recomputed = match &mut recomputed {
                 Some(recomputed) => recomputed,
-                None => recomputed.insert(Recomputed::new(header, images.cameras())?),
+                None => {
+                    let seen = (std::mem::take(&mut images), std::mem::take(&mut scenes));
+                    recomputed.insert(Recomputed::new(header, seen)?)
+                }
             };
             recomputed.step(step);
             Ok(())
         })?;
         let recomputed = recomputed.ok_or(ReplayError::Empty)?;
-        let view = recomputed.view(&header, &end, images, events);
+        let view = recomputed.view(&header, &end, events);
         Ok(Self { messages, ..view })
     }
 
     /// How many arms it is of, and the cameras that it has images of.
     pub(super) fn arms_and_cameras(&self) -> (usize, Vec<String>) {
-        (self.facts.arms.len(), self.facts.cameras.clone())
+        (self.facts.arms.len(), self.images.cameras())
     }
 
     /// How long it is, s.
@@ -96,7 +116,14 @@ impl LogView {
 
     /// The log's own time `seconds` after its first tick.
     pub(super) fn time(&self, seconds: f64) -> TimeNs {
-        TimeNs::from_tick(self.tick(seconds))
+        let (first, at) = self.first;
+        let ticks = self.tick(seconds.min(self.seconds())).saturating_sub(first);
+        at.plus_ns(ticks * TICK_NS)
+    }
+
+    /// The scene's file, if the log has a scene.
+    pub(super) fn scene_file(&self) -> Option<Bytes> {
+        self.scene_file.clone()
     }
 
     /// What `topic` says as the time goes from `before` to `at`: its newest message, or all of a topic of which each counts.
@@ -132,18 +159,44 @@ impl LogView {
     /// The state `seconds` after the log's first tick, or the nearest before it.
     pub(super) fn state(&self, seconds: f64) -> Option<String> {
         let tick = self.tick(seconds);
-        let at = self.states.range(..=tick).next_back();
-        let (_, state) = at.or_else(|| self.states.first_key_value())?;
-        Some(state.to_string())
+        self.states.at(tick).map(|(_, state)| state.to_owned())
     }
 
-    /// The image of `stream` at that time, and a number that is its own.
-    pub(super) fn picture(&self, stream: Stream, seconds: f64) -> Option<(u64, Bytes)> {
-        if stream.plane != Plane::Colour {
-            return None;
+    /// What there is to see of `stream` at that time, by a number that is its own.
+    pub(super) fn number(&self, stream: Stream, seconds: f64) -> Option<u64> {
+        let at = self.time(seconds);
+        let image = self.image(stream, at).map(|(number, _)| number);
+        image.or_else(|| Some(self.scene.as_ref()?.tick(at.tick())? + 1))
+    }
+
+    /// That: the image in the log, or what is drawn of its scene.
+    ///
+    /// # Errors
+    /// If it can't be drawn.
+    pub(super) fn picture(
+        &self,
+        stream: Stream,
+        seconds: f64,
+    ) -> Result<Option<Bytes>, SessionError> {
+        let at = self.time(seconds);
+        if let Some((_, image)) = self.image(stream, at) {
+            return Ok(Some(image));
         }
-        self.images
-            .at(stream.camera, TimeNs::from_tick(self.tick(seconds)))
+        let Some(scene) = &self.scene else {
+            return Ok(None);
+        };
+        if stream == Stream::SCENE {
+            return scene.places(at.tick());
+        }
+        match self.facts.cameras.get(usize::from(stream.camera)) {
+            Some(name) => scene.picture(name, stream, at.tick()),
+            None => Ok(None),
+        }
+    }
+
+    fn image(&self, stream: Stream, at: TimeNs) -> Option<(u64, Bytes)> {
+        let is_kept = stream.plane == Plane::Colour;
+        is_kept.then(|| self.images.at(stream.camera, at)).flatten()
     }
 
     #[expect(
@@ -152,37 +205,76 @@ impl LogView {
         reason = "saturates, which is the log's end or its beginning"
     )]
     fn tick(&self, seconds: f64) -> u64 {
-        self.first.saturating_add((seconds * 1e3).round() as u64)
+        self.first.0.saturating_add((seconds * 1e3).round() as u64)
     }
 }
 
 /// Images by camera, in the order in which cameras first come.
 #[derive(Debug, Default)]
 struct Images {
-    cameras: Vec<(String, BTreeMap<TimeNs, Bytes>)>,
+    cameras: Vec<LoggedCamera>,
     bytes: usize,
     /// Of so many images one is kept.
     stride: u64,
     seen: u64,
 }
 
+/// A camera of a log.
+#[derive(Debug, Default)]
+struct LoggedCamera {
+    name: String,
+    images: BTreeMap<TimeNs, Bytes>,
+    /// Through what it saw and from where, as often as that changed.
+    views: BTreeMap<TimeNs, (Intrinsics, Pose)>,
+}
+
 impl Images {
     fn cameras(&self) -> Vec<String> {
-        self.cameras.iter().map(|(name, _)| name.clone()).collect()
+        let cameras = self.cameras.iter();
+        cameras.map(|camera| camera.name.clone()).collect()
+    }
+
+    /// The camera `name`, new if it was not heard of before, with its place.
+    fn camera(&mut self, name: &str) -> (usize, &mut LoggedCamera) {
+        let known = self.cameras.iter().position(|camera| camera.name == name);
+        let index = known.unwrap_or_else(|| {
+            self.cameras.push(LoggedCamera {
+                name: name.to_owned(),
+                ..LoggedCamera::default()
+            });
+            self.cameras.len() - 1
+        });
+        (index, &mut self.cameras[index])
+    }
+
+    fn keep_view(&mut self, camera: &str, at: TimeNs, view: (Intrinsics, Pose)) {
+        let (_, camera) = self.camera(camera);
+        let before = camera.views.last_key_value();
+        if before.is_none_or(|(_, before)| *before != view) {
+            camera.views.insert(at, view);
+        }
+    }
+
+    /// The lenses of all cameras at that time, and where they were.
+    fn lenses(&self, at: TimeNs) -> Lenses {
+        let views = (0..=u8::MAX)
+            .zip(&self.cameras)
+            .filter_map(|(index, camera)| {
+                let before = camera.views.range(..=at).next_back();
+                let (_, view) = before.or_else(|| camera.views.first_key_value())?;
+                Some((index, *view))
+            });
+        views.collect()
     }
 
     fn keep(&mut self, camera: &str, at: TimeNs, image: &[u8]) {
-        let known = self.cameras.iter().position(|(name, _)| name == camera);
-        let index = known.unwrap_or(self.cameras.len());
-        if known.is_none() {
-            self.cameras.push((camera.to_owned(), BTreeMap::new()));
-        }
         self.seen += 1;
-        let (Ok(number), Some((_, kept))) = (u8::try_from(index), self.cameras.get_mut(index))
-        else {
+        let (seen, stride) = (self.seen, self.stride.max(1));
+        let (index, LoggedCamera { images: kept, .. }) = self.camera(camera);
+        let Ok(number) = u8::try_from(index) else {
             return;
         };
-        if !kept.is_empty() && !self.seen.is_multiple_of(self.stride.max(1)) {
+        if !kept.is_empty() && !seen.is_multiple_of(stride) {
             return;
         }
         let stream = Stream {
@@ -191,8 +283,9 @@ impl Images {
         };
         let mut message = encode::head(stream, at);
         message.extend_from_slice(image);
-        self.bytes += message.len();
+        let bytes = message.len();
         kept.insert(at, message.into());
+        self.bytes += bytes;
         if self.bytes > IMAGE_BYTES_MAX {
             self.thin_out();
         }
@@ -201,28 +294,29 @@ impl Images {
     /// Lets every second image go.
     fn thin_out(&mut self) {
         self.stride = 2 * self.stride.max(1);
-        for (_, kept) in &mut self.cameras {
+        for camera in &mut self.cameras {
             let mut index = 0;
-            kept.retain(|_, _| {
+            camera.images.retain(|_, _| {
                 index += 1;
                 index % 2 == 1
             });
         }
-        let sizes = self.cameras.iter().flat_map(|(_, kept)| kept.values());
-        self.bytes = sizes.map(Bytes::len).sum();
+        let cameras = self.cameras.iter();
+        let images = cameras.flat_map(|camera| camera.images.values());
+        self.bytes = images.map(Bytes::len).sum();
     }
 
     fn at(&self, camera: u8, at: TimeNs) -> Option<(u64, Bytes)> {
-        let (_, kept) = self.cameras.get(usize::from(camera))?;
+        let kept = &self.cameras.get(usize::from(camera))?.images;
         let before = kept.range(..=at).next_back();
         let (stamp, image) = before.or_else(|| kept.first_key_value())?;
         Some((stamp.0 + 1, image.clone()))
     }
 }
 
-/// States by tick, a bounded number of bytes.
+/// States, or scenes, by tick, a bounded number of bytes.
 #[derive(Debug)]
-struct States {
+pub(super) struct States {
     kept: BTreeMap<u64, Box<str>>,
     bytes: usize,
     every_ticks: u64,
@@ -239,12 +333,23 @@ impl Default for States {
 }
 
 impl States {
+    pub(super) fn is_empty(&self) -> bool {
+        self.kept.is_empty()
+    }
+
+    /// What was at `tick`, or the nearest before it, or else the first; with its own tick.
+    pub(super) fn at(&self, tick: u64) -> Option<(u64, &str)> {
+        let before = self.kept.range(..=tick).next_back();
+        let (tick, state) = before.or_else(|| self.kept.first_key_value())?;
+        Some((*tick, state))
+    }
+
     fn wants(&self, tick: u64) -> bool {
         let newest = self.kept.last_key_value();
         newest.is_none_or(|(newest, _)| tick >= newest + self.every_ticks)
     }
 
-    fn keep(&mut self, tick: u64, state: Box<str>) {
+    pub(super) fn keep(&mut self, tick: u64, state: Box<str>) {
         self.bytes += state.len();
         self.kept.insert(tick, state);
         if self.bytes > STATE_BYTES_MAX {
@@ -271,8 +376,13 @@ struct Recomputed {
     controller: AnyController,
     tap: ControlTap,
     states: States,
+    images: Images,
+    scene: Option<LogScene>,
+    scene_file: Option<Bytes>,
+    /// The newest that the controller was given.
+    chunks: Option<PerArm<Chunk>>,
     events: Vec<EventFacts>,
-    first: Option<u64>,
+    first: Option<(u64, TimeNs)>,
     last: Option<u64>,
     skipped: u64,
     sequences: Option<u64>,
@@ -282,7 +392,7 @@ struct Recomputed {
 }
 
 impl Recomputed {
-    fn new(header: &RunHeader, cameras: Vec<String>) -> Result<Self, SessionError> {
+    fn new(header: &RunHeader, (images, scenes): (Images, States)) -> Result<Self, SessionError> {
         let config = config(header)?;
         let controller = AnyController::new(&config)
             .map_err(|error| ReplayError::Controller(error.to_string()))?;
@@ -291,12 +401,31 @@ impl Recomputed {
         } else {
             &header.task
         };
+        let (scene, unshown) = LogScene::new(header, scenes).map_or_else(
+            |error| (None, Some(format!("its scene can't be shown: {error}"))),
+            |scene| (scene, None),
+        );
+        let facts = Facts::new(
+            title,
+            &header.policy,
+            header.seed,
+            &config,
+            images.cameras(),
+        );
+        let unshown = unshown.map(|text| EventFacts { seconds: 0.0, text });
         Ok(Self {
-            facts: Facts::new(title, &header.policy, header.seed, &config, cameras),
+            facts: match &scene {
+                Some(scene) => facts.drawn(scene.cameras()).within_s(scene.time_limit_s()),
+                None => facts,
+            },
+            scene_file: scene.as_ref().and_then(|scene| scene.file(&config.arms)),
+            images,
+            scene,
+            chunks: None,
             controller,
             tap: ControlTap::new(mailbox().0, mailbox().0, mailbox().0, RingBuffer::new(1).0),
             states: States::default(),
-            events: Vec::new(),
+            events: unshown.into_iter().collect(),
             first: None,
             last: None,
             skipped: 0,
@@ -338,13 +467,14 @@ impl Recomputed {
                 second: step.chunks.second.flatten().copied(),
             };
             self.tap.chunk(&chunks, logged.now.since(chunk.observed_at));
+            self.chunks = Some(chunks);
         }
         self.tap.tick(&record, &self.controller, self.skipped);
         self.keep(&record);
     }
 
     fn keep(&mut self, record: &TickRecord) {
-        let first = *self.first.get_or_insert(record.tick);
+        let (first, _) = *self.first.get_or_insert((record.tick, record.now));
         self.note(record, first);
         let states: Vec<_> = record
             .arms
@@ -353,10 +483,25 @@ impl Recomputed {
             .collect();
         if self.states.wants(record.tick) || states != self.was {
             self.was = states;
-            let sample = self.tap.sample(record);
-            let state = State::new(&sample, &self.facts, 0.0, None).json();
+            let state = self.state(record).json();
             self.states.keep(record.tick, state.into());
         }
+    }
+
+    /// What pages are told of this tick.
+    fn state(&self, record: &TickRecord) -> State {
+        let scene = self.scene.as_ref();
+        let found = scene.and_then(|scene| Some((scene, scene.record(record.now.tick())?.1)));
+        let mut lenses = self.images.lenses(record.now);
+        if let Some((scene, record)) = &found {
+            scene.add_lenses(&self.facts.cameras, record, &mut lenses);
+        }
+        let bases = &self.facts.rcms_in_scene;
+        let chunks = self.chunks.as_ref();
+        let paths = chunks.map(|chunks| paths(chunks, record.now, bases, &lenses));
+        let sample = self.tap.sample(record);
+        let state = State::new(&sample, &self.facts, 0.0, found.map(|(_, it)| it.task));
+        state.towards(paths.unwrap_or_default())
     }
 
     /// Notes when guard, filter and gate began to act.
@@ -382,15 +527,8 @@ impl Recomputed {
         }
     }
 
-    fn view(
-        mut self,
-        header: &RunHeader,
-        end: &LogEnd,
-        images: Images,
-        told: Vec<(TimeNs, String)>,
-    ) -> LogView {
-        let first = self.first.unwrap_or(0);
-        let from = TimeNs::from_tick(first);
+    fn view(mut self, header: &RunHeader, end: &LogEnd, told: Vec<(TimeNs, String)>) -> LogView {
+        let (first, from) = self.first.unwrap_or_default();
         self.events
             .extend(told.into_iter().map(|(at, text)| EventFacts {
                 seconds: TimeNs(at.since(from)).seconds(),
@@ -410,9 +548,11 @@ impl Recomputed {
         });
         LogView {
             facts,
-            states: self.states.kept,
-            first,
-            images,
+            states: self.states,
+            first: (first, from),
+            images: self.images,
+            scene: self.scene,
+            scene_file: self.scene_file,
             messages: LogMessages::default(),
         }
     }
@@ -431,7 +571,160 @@ fn config(header: &RunHeader) -> Result<ControlConfig, SessionError> {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::Value;
+    use trocar_log::{Pressure, Recorder, RunLog};
+    use trocar_tasks::simulation::{Rendering, Simulation};
+
     use super::*;
+    use crate::session::episode::{Episode, EpisodeObserver, Timing};
+    use crate::session::latency::Latency;
+    use crate::session::run::run_lockstep;
+    use crate::session::scratch::Scratch;
+    use crate::session::{Plan, PolicyChoice};
+
+    /// An episode of the expert in lockstep, with its log but without images, in `folder`.
+    fn logged(folder: &Scratch) -> Plan {
+        let plan = Plan {
+            seed: 7,
+            log: Some(folder.0.join("run.mcap")),
+            log_frames: false,
+            ..Plan::load("needle-lift", PolicyChoice::Expert).unwrap()
+        };
+        assert!(run_lockstep(&plan).unwrap().ok);
+        plan
+    }
+
+    fn state(view: &LogView, seconds: f64) -> Value {
+        serde_json::from_str(&view.state(seconds).unwrap()).unwrap()
+    }
+
+    fn met(state: &Value) -> Vec<bool> {
+        let criteria = state["criteria"].as_array().into_iter().flatten();
+        criteria.map(|it| it["met"] == true).collect()
+    }
+
+    /// A log shows what the page on its run did: criteria as they stood, where chunks led in each camera's picture, the scene.
+    #[test]
+    fn a_log_shows_what_its_run_did() {
+        let folder = Scratch::folder("log-view");
+        let plan = logged(&folder);
+        let path = plan.log.as_deref().unwrap();
+        let view = LogView::read(path, false).unwrap();
+        let facts: Value = serde_json::from_str(&view.facts()).unwrap();
+        assert_eq!(
+            facts["cameras"],
+            serde_json::json!(plan.setup.camera_names())
+        );
+        assert_eq!(
+            (&facts["depth"], &facts["drawn"]),
+            (&facts["cameras"], &facts["cameras"])
+        );
+        assert_eq!(facts["scene"], true);
+        assert_eq!(view.arms_and_cameras(), (1, Vec::new()));
+        assert_eq!(&view.scene_file().unwrap()[..4], b"glTF");
+
+        let (begin, end) = (state(&view, 0.0), state(&view, view.seconds()));
+        assert!(!met(&begin).is_empty() && met(&begin).len() == met(&end).len());
+        let count = |state: &Value| met(state).iter().filter(|met| **met).count();
+        assert!(count(&end) > count(&begin), "{end}");
+        assert!(begin["task"].is_string());
+        // Before the first chunk has come there is no path.
+        assert_eq!(begin["paths"], Value::Null);
+        let middle = state(&view, view.seconds() / 2.0);
+        let path = &middle["paths"][0];
+        let points = path["points"].as_array().unwrap().len();
+        assert!(points > 1, "{path}");
+        for camera in 0..plan.setup.camera_names().len() {
+            let seen = &path["pictures"][camera.to_string()];
+            assert!(
+                seen.as_array().is_some_and(|seen| seen.len() <= points),
+                "{path}"
+            );
+        }
+        assert_eq!(path["pictures"]["0"].as_array().map(Vec::len), Some(points));
+
+        let moved = [0.0, view.seconds()].map(|at| {
+            assert!(view.number(Stream::SCENE, at).is_some());
+            view.picture(Stream::SCENE, at).unwrap().unwrap()
+        });
+        assert_eq!(moved[0].len(), moved[1].len());
+        assert_ne!(moved[0][encode::HEAD..], moved[1][encode::HEAD..]);
+    }
+
+    /// Writes ticks and chunks, as a log of before there were scenes has them.
+    struct Bare(Recorder);
+
+    impl EpisodeObserver for Bare {
+        fn chunk(&mut self, arm: usize, chunk: &Chunk) {
+            self.0.chunk(arm, chunk);
+        }
+
+        fn tick(&mut self, record: &TickRecord) {
+            self.0.tick(record);
+        }
+    }
+
+    #[test]
+    fn a_log_without_scenes_shows_the_arms() {
+        let folder = Scratch::folder("log-view-bare");
+        let plan = logged(&folder);
+        let header = RunLog::open(plan.log.as_deref().unwrap()).unwrap().header;
+        let path = folder.0.join("bare.mcap");
+        let mut bare = Bare(Recorder::create(&path, &header, Pressure::Block).unwrap());
+        let task = &plan.setup.task;
+        let source = plan.setup.source(&plan.policy, plan.seed, plan.compute);
+        let episode = Episode {
+            simulation: &mut Simulation::new(task, plan.seed, Rendering::Off).unwrap(),
+            controller: &mut plan.setup.controller().unwrap(),
+            source: &mut source.unwrap(),
+        };
+        let timing = Timing {
+            latency: Latency::fixed(40),
+            tick_limit: 400,
+        };
+        episode.run(&timing, &mut bare).unwrap();
+        bare.0.finish(None).unwrap();
+
+        let view = LogView::read(&path, false).unwrap();
+        let facts: Value = serde_json::from_str(&view.facts()).unwrap();
+        let none = serde_json::json!([]);
+        assert_eq!((&facts["cameras"], &facts["depth"]), (&none, &none));
+        assert_eq!(
+            (&facts["scene"], view.scene_file()),
+            (&Value::Bool(false), None)
+        );
+        let at = state(&view, 0.3);
+        assert!(at["arms"][0]["measured"].is_array() && met(&at).is_empty());
+        // Without a camera there is still where the chunk leads in the scene.
+        assert!(!at["paths"][0]["points"].as_array().unwrap().is_empty());
+        let depth = Stream {
+            camera: 0,
+            plane: Plane::Depth,
+        };
+        for stream in [Stream::SCENE, depth] {
+            assert_eq!(view.number(stream, 0.3), None);
+            assert!(view.picture(stream, 0.3).unwrap().is_none());
+        }
+    }
+
+    /// Where a camera was when a chunk came is the newest that the log says of it.
+    #[test]
+    fn a_cameras_view_is_the_newest_before() {
+        let lens = Intrinsics::from_vertical_fov(8, 8, 1.0);
+        let mut images = Images::default();
+        for (ms, x) in [(0, 0.0), (40, 0.0), (80, 1.0)] {
+            let at = TimeNs(ms * 1_000_000);
+            images.keep_view("wrist", at, (lens, Pose::translation(x, 0.0, 0.0)));
+            images.keep("wrist", at, JPEG);
+        }
+        assert_eq!(images.cameras[0].views.len(), 2, "what stays is kept once");
+        assert_eq!(images.cameras[0].images.len(), 3);
+        for (ms, x) in [(0, 0.0), (79, 0.0), (80, 1.0), (500, 1.0)] {
+            let lenses = images.lenses(TimeNs(ms * 1_000_000));
+            let (_, pose) = lenses[&0];
+            assert!((pose.translation.x - x).abs() < 1e-12, "{ms}");
+        }
+    }
 
     /// A log of hours takes no more than one of minutes: its states are further apart, from its beginning to its end.
     #[test]

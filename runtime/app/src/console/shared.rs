@@ -94,6 +94,8 @@ impl Shared {
         let facts = log.facts();
         let (arms, cameras) = log.arms_and_cameras();
         let channels = log_form::of_log(arms, &cameras);
+        // Pages that are told of the scene ask for its file.
+        self.show_scene(log.scene_file().unwrap_or_default());
         self.show(Shown::Log(Arc::new(log)));
         self.viewers.offer(channels, cameras);
         self.facts.send_replace(facts.into());

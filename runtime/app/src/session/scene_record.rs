@@ -17,7 +17,7 @@ pub(super) fn keep(recorder: &mut Recorder, view: &StepView<'_>) {
 }
 
 /// The record of `scene`, whose task stands so.
-pub(super) fn record(scene: &SceneSnapshot, stands: &TaskState) -> SceneRecord {
+pub(crate) fn record(scene: &SceneSnapshot, stands: &TaskState) -> SceneRecord {
     let parts = |arm: &ArmBodies| {
         [
             arm.shaft,

@@ -21,12 +21,12 @@ export class Cameras {
     this.none = document.getElementById("no-cameras");
   }
 
-  /** Shows `names`; what was recorded has colour alone, but for those `deep`. */
-  set(names, recorded, deep = []) {
+  /** Shows `names`; what was recorded has colour alone, but for those `deep`, some of which are `drawn` on demand. */
+  set(names, recorded, deep, drawn) {
     const same = names.length === this.#views.length && names.every((name, i) => this.#views[i].name === name);
     if (!same) {
       this.root.replaceChildren();
-      this.#views = names.map((name, index) => this.#view(name, index, recorded, deep.includes(name)));
+      this.#views = names.map((name, index) => this.#view(name, index, recorded && !drawn.includes(name), deep.includes(name)));
     }
     this.root.classList.toggle("many", names.length > 2);
     this.none.hidden = names.length > 0;

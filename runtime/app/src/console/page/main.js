@@ -49,7 +49,7 @@ const heard = {
     log = facts.log;
     document.body.dataset.subject = facts.subject;
     panels.facts(facts);
-    cameras.set(facts.cameras, facts.log, facts.depth);
+    cameras.set(facts.cameras, facts.log, facts.depth, facts.drawn);
     scene.facts(facts.scene);
     timeline.facts(facts);
     episodes.facts(facts);
