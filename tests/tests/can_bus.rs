@@ -17,6 +17,9 @@ mod drives;
 mod faults;
 #[path = "can_bus/heard.rs"]
 mod heard;
+#[expect(dead_code, reason = "over CAN fewer faults are injected")]
+#[path = "faults/matrix.rs"]
+mod matrix;
 #[path = "can_bus/page.rs"]
 mod page;
 #[path = "can_bus/pair.rs"]

@@ -1,29 +1,33 @@
 //! Faults of runs in real time, each done for real: how it is seen, when the arm rests, whether limits hold, whether the run goes on.
 //!
-//! Behaviour is checked, times are reported: `cargo test --test faults -- --nocapture` prints the rows of the table in
-//! `runtime/SAFETY.md`.
+//! Each test keeps its rows of the fault matrix, with times from the log of the run: `tests/scripts/fault_matrix.py` makes the table in
+//! `runtime/SAFETY.md` of them. The controller's ticks from a fault's detection until the arm rests are bounded; other times are reported.
 #![expect(
     clippy::unwrap_used,
     clippy::print_stdout,
-    reason = "a test that fails to set up has failed; the table is what it prints"
+    reason = "a test that fails to set up has failed; one that is skipped says so"
 )]
 
 #[path = "faults/cameras.rs"]
 mod cameras;
 #[path = "faults/held_up.rs"]
 mod held_up;
+#[path = "faults/matrix.rs"]
+mod matrix;
 #[path = "faults/performer.rs"]
 mod performer;
 
 use std::fs;
 use std::io::{BufRead as _, BufReader};
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
 use hal::{Chunk, TimeNs};
-use performer::{Asks, Manner, Performer};
+use matrix::{Taken, newest_tick, row, row_at_rest};
+use performer::{Asks, CHUNK_TICKS, Manner, Performer};
 use tests::{alone, child_of, json, scratch, trocar};
 use trocar::rt::{MonotonicClock, sleep_ns};
 use trocar::session::operator::{Ask, Command as Operator, ask};
@@ -118,13 +122,10 @@ impl Run {
         })
     }
 
-    /// Waits until an operator sees that; after which time, ms.
-    fn until(&mut self, what: &str, holds: impl Fn(Seen) -> bool) -> u64 {
+    /// Waits until an operator sees that.
+    fn until(&mut self, what: &str, holds: impl Fn(Seen) -> bool) {
         let clock = MonotonicClock::new();
-        loop {
-            if self.status().is_some_and(&holds) {
-                return clock.now().0 / MS_NS;
-            }
+        while !self.status().is_some_and(&holds) {
             let ended = self.process.try_wait().unwrap();
             assert_eq!(ended, None, "waiting until {what}: {:?}", self.said());
             assert!(clock.now().0 < PATIENCE_NS, "waited in vain until {what}");
@@ -132,28 +133,15 @@ impl Run {
         }
     }
 
-    /// After which times the arm is paused and at rest, ms.
-    fn stops(&mut self) -> (Option<u64>, u64) {
-        let paused = self.until("it is paused", |seen| !seen.enabled);
-        let rests = self.until("it rests", |seen| !seen.moves);
-        (Some(paused), paused + rests)
+    /// Waits until an operator sees the arm paused and at rest.
+    fn stops(&mut self) {
+        self.until("it is paused", |seen| !seen.enabled);
+        self.until("it rests", |seen| !seen.moves);
     }
 
-    /// As [`Self::stops`], of a run that then ends by itself, perhaps before it is seen at rest: what its log says.
-    fn stops_or_ends(&mut self) -> (Option<u64>, u64) {
-        let (clock, mut paused) = (MonotonicClock::new(), None);
-        loop {
-            let (ms, seen) = (clock.now().0 / MS_NS, self.status());
-            if seen.is_some_and(|seen| !seen.enabled) {
-                paused = paused.or(Some(ms));
-            }
-            let rests = seen.is_some_and(|seen| !seen.enabled && !seen.moves);
-            if rests || self.process.try_wait().unwrap().is_some() {
-                return (paused, ms);
-            }
-            assert!(clock.now().0 < PATIENCE_NS, "it does not come to rest");
-            sleep_ns(2 * MS_NS);
-        }
+    /// Its newest tick: what is done to it next is later.
+    fn tick(&self) -> u64 {
+        newest_tick(self.process.id())
     }
 
     fn said(&self) -> Vec<String> {
@@ -255,12 +243,6 @@ fn send(signal: &str, process: u32) {
     assert!(sent.unwrap().success());
 }
 
-/// A row of the table: after which times the arm was paused and at rest, ms.
-fn row(fault: &str, seen: &str, (paused, rests): (Option<u64>, u64), recovery: &str) {
-    let paused = paused.map_or_else(|| "-".to_owned(), |ms| format!("{ms} ms"));
-    println!("| {fault} | {seen} | {paused} | {rests} ms | held | {recovery} |");
-}
-
 /// How far a target that ends a hold may be from the arm, mm: the gate's own limit.
 const RESUME_MM: f64 = 10.0;
 
@@ -324,28 +306,41 @@ fn refused_mm(log: &RunLog) -> f64 {
     refused.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
+/// A row of a process that was restarted: the arm, which went on from where it was, says when.
+fn row_restarted(name: &str, (fault, seen): (&str, &str), log: &RunLog, injected: u64) {
+    let taken = Taken::stops(log, injected);
+    let (again, away_mm) = (taken.again.unwrap(), resumed_mm(log));
+    let then = format!(
+        "restarted; the arm goes on {again} ticks after its rest, from a target {away_mm:.1} mm away"
+    );
+    row(name, fault, &format!("`{}`", seen.trim()), &taken, &then);
+}
+
 /// Our own policy process is killed, and hangs: the arm holds until it is there again, and goes on from where it is.
 #[test]
 fn dead_or_hung_policy_is_restarted_and_the_arm_goes_on() {
     let _turn = alone();
-    for (signal, fault, seen) in [
+    for (signal, name, fault, seen) in [
         (
             "-KILL",
-            "policy process killed",
+            "policy-killed",
+            "policy process killed, `restarts = 2`",
             "the policy process ended: signal: 9",
         ),
         (
             "-STOP",
-            "policy process stopped (SIGSTOP)",
+            "policy-hangs",
+            "policy process hangs (SIGSTOP), `restarts = 2`",
             "the policy process has sent no heartbeat for ",
         ),
     ] {
         let mut run = Run::start("faults-restart", CHECKPOINT, 2, None);
+        let injected = run.tick();
         send(signal, run.policy_process());
-        let times = run.stops();
+        run.stops();
         run.hears(seen);
         run.hears("the arms stop and hold; it is started again in 0.2 s (1 of 2)");
-        let again = run.until("it goes on", |seen| seen.enabled && seen.moves);
+        run.until("it goes on", |seen| seen.enabled && seen.moves);
         run.hears("the policy process is ready again");
         let (log, result) = run.interrupted();
         assert_eq!(result["policy"]["restarts"], 1);
@@ -359,11 +354,7 @@ fn dead_or_hung_policy_is_restarted_and_the_arm_goes_on() {
                 "{told}"
             );
         }
-        let away_mm = resumed_mm(&log);
-        let recovery = format!(
-            "restarted, goes on {again} ms after the stop, from a target {away_mm:.1} mm away"
-        );
-        row(fault, seen, times, &recovery);
+        row_restarted(name, (fault, seen), &log, injected);
     }
 }
 
@@ -375,14 +366,8 @@ fn the_last_restart_ends_the_run_at_rest() {
     send("-KILL", run.policy_process());
     run.stops();
     run.until("it goes on", |seen| seen.enabled && seen.moves);
+    let injected = run.tick();
     send("-KILL", run.policy_process());
-    let times = run.stops_or_ends();
-    row(
-        "policy process killed, no restart left",
-        "the policy process ended: signal: 9",
-        times,
-        "the run ends, exit code 1",
-    );
     let (code, result) = run.end();
     let result = result.unwrap();
     let reason = result["reason"].as_str().unwrap();
@@ -391,33 +376,36 @@ fn the_last_restart_ends_the_run_at_rest() {
         "{reason}"
     );
     assert_eq!((code, &result["policy"]["restarts"]), (Some(1), &1.into()));
-    run.checked_log();
+    row(
+        "policy-killed-last",
+        "policy process killed, no restart left",
+        "`the policy process ended: signal: 9`",
+        &Taken::stops(&run.checked_log(), injected),
+        "the run ends, exit code 1",
+    );
 }
 
 /// What an external policy says wrong has no effect: the arm rests when its last good chunk ends, and goes on with the next good one.
 #[test]
 fn bad_answers_bring_the_arm_to_rest_until_a_good_one_comes() {
     let _turn = alone();
-    for (manner, fault, seen) in [
-        (
-            Manner::NotFinite,
-            "chunks with NaN",
-            "the gate refuses each",
-        ),
+    for (manner, name, fault) in [
+        (Manner::NotFinite, "chunks-nan", "chunks with NaN"),
         (
             Manner::Replays,
+            "chunks-old",
             "an old chunk again and again",
-            "the gate refuses each",
         ),
-        (Manner::Slow, "answers 2.5 s late", "the gate refuses each"),
+        (Manner::Slow, "chunks-late", "chunks 2.5 s late"),
     ] {
         let topics = format!("faults-{}-{manner:?}", std::process::id());
         let performer = Performer::appear(&topics);
         let mut run = Run::start("faults-bad", &format!("external:{topics}"), 0, None);
         // Some answers have been judged before.
         sleep_ns(1500 * MS_NS);
+        let injected = run.tick();
         performer.behave(manner);
-        let rests = run.until("it rests", |seen| !seen.moves);
+        run.until("it rests", |seen| !seen.moves);
         // None of them moves the arm, which is not paused.
         sleep_ns(3000 * MS_NS);
         run.until("it is seen", |seen| {
@@ -426,17 +414,14 @@ fn bad_answers_bring_the_arm_to_rest_until_a_good_one_comes() {
         });
         performer.behave(Manner::Good);
         run.until("it goes on", |seen| seen.moves);
-        let (_, result) = run.interrupted();
+        let (log, result) = run.interrupted();
         assert!(
             result["policy"]["refused"].as_u64().unwrap() > 0,
             "{result}"
         );
-        row(
-            fault,
-            seen,
-            (None, rests),
-            "goes on with the next good chunk",
-        );
+        let taken = Taken::refuses(&log, injected, CHUNK_TICKS);
+        let then = "the arm, which is not paused, goes on with the next good chunk";
+        row(name, fault, "refused by the gate", &taken, then);
     }
 }
 
@@ -447,8 +432,9 @@ fn a_policy_that_comes_back_elsewhere_is_refused() {
     let topics = format!("faults-{}-elsewhere", std::process::id());
     let performer = Performer::appear(&topics);
     let mut run = Run::start("faults-elsewhere", &format!("external:{topics}"), 1, None);
+    let injected = run.tick();
     drop(performer);
-    let times = run.stops();
+    run.stops();
     let performer = Performer::appear(&topics);
     performer.behave(Manner::Elsewhere);
     run.until("it is no longer held", |seen| seen.enabled);
@@ -466,12 +452,12 @@ fn a_policy_that_comes_back_elsewhere_is_refused() {
     assert_eq!(told.count(), 1, "{:?}", log.events);
     let nearest_mm = refused_mm(&log);
     assert!(nearest_mm > 1.5 * RESUME_MM, "{nearest_mm}");
-    let fault = "external policy comes back 30 mm away";
     row(
-        fault,
+        "policy-elsewhere",
+        "external policy leaves, comes back and asks for what is 30 mm away, `restarts = 1`",
         "`they do not start where the arm was held`",
-        times,
-        "goes on with the first chunk that starts where the arm is",
+        &Taken::stops(&log, injected),
+        "nothing moves until a chunk starts where the arm is, which is followed",
     );
 }
 
@@ -488,6 +474,7 @@ fn an_external_policy_may_leave_and_come_back() {
             restarts,
             None,
         );
+        let injected = run.tick();
         drop(performer);
         if restarts == 0 {
             let (code, result) = run.end();
@@ -501,23 +488,21 @@ fn an_external_policy_may_leave_and_come_back() {
             run.checked_log();
             continue;
         }
-        let times = run.stops();
+        run.stops();
         run.hears("it may come back within 30.0 s (1 of 1)");
         let performer = Performer::appear(&topics);
-        let again = run.until("it goes on", |seen| seen.enabled && seen.moves);
+        run.until("it goes on", |seen| seen.enabled && seen.moves);
         let (log, result) = run.interrupted();
         drop(performer);
         assert_eq!(result["policy"]["restarts"], 1);
         assert_eq!(result["policy"]["refused"], 0, "{result}");
-        let away_mm = resumed_mm(&log);
-        let recovery =
-            format!("goes on {again} ms after it came back, from a target {away_mm:.1} mm away");
-        row(
-            "external policy leaves",
-            "its process has ended",
-            times,
-            &recovery,
+        let (taken, away_mm) = (Taken::stops(&log, injected), resumed_mm(&log));
+        let again = taken.again.unwrap();
+        let then = format!(
+            "it comes back as another process; the arm goes on {again} ticks after its rest, from a target {away_mm:.1} mm away"
         );
+        let fault = "external policy leaves, `restarts = 1`";
+        row("policy-leaves", fault, "`ended`", &taken, &then);
     }
 }
 
@@ -526,20 +511,17 @@ fn signals_bring_the_arm_to_rest() {
     let _turn = alone();
     for signal in ["-TERM", "-INT"] {
         let mut run = Run::start("faults-signal", "random", 0, None);
+        let injected = run.tick();
         run.send(signal);
-        let times = run.stops_or_ends();
         let (code, result) = run.end();
         assert_eq!(
             (code, &result.unwrap()["reason"]),
             (Some(1), &"interrupted".into())
         );
-        run.checked_log();
-        row(
-            &format!("SIG{}", &signal[1..]),
-            "interrupted",
-            times,
-            "the run ends",
-        );
+        let (name, fault) = (format!("signal{signal}"), format!("SIG{}", &signal[1..]));
+        let taken = Taken::stops(&run.checked_log(), injected);
+        let then = "at rest its drives lose torque; the run ends, exit code 1";
+        row(&name, &fault, "`interrupted`", &taken, then);
     }
 }
 
@@ -547,16 +529,22 @@ fn signals_bring_the_arm_to_rest() {
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    /// None where this user may not mount one.
+    /// None where this user, who is not root, may not mount one.
     fn mount() -> Option<Self> {
         let folder = scratch("faults-disk-full");
-        let mounted = Command::new("mount")
-            .args(["-t", "tmpfs", "-o", "size=2m", "tmpfs"])
-            .arg(&folder)
-            .stderr(Stdio::null())
-            .status();
-        mounted.is_ok_and(|it| it.success()).then_some(Self(folder))
+        let place = folder.to_str()?;
+        let tmpfs = ["-t", "tmpfs", "-o", "size=2m", "tmpfs", place];
+        granted("mount", &tmpfs).then_some(Self(folder))
     }
+}
+
+/// Whether a command that needs root succeeds; where the user is root, it does or the test fails.
+fn granted(program: &str, arguments: &[&str]) -> bool {
+    let output = Command::new(program).args(arguments).output();
+    let done = output.as_ref().is_ok_and(|it| it.status.success());
+    let root = fs::metadata("/proc/self").unwrap().uid() == 0;
+    assert!(done || !root, "{program} {arguments:?}: {output:?}");
+    done
 }
 
 impl Drop for SmallDisk {
@@ -570,27 +558,29 @@ impl Drop for SmallDisk {
 fn a_full_disk_costs_the_log_and_not_the_run() {
     let _turn = alone();
     let Some(disk) = SmallDisk::mount() else {
-        println!("skipped: this user may mount no small file system");
+        println!("skipped: only root may mount a small file system");
         return;
     };
     let log = disk.0.join("run.mcap");
     let mut run = Run::start("faults-disk", "random", 0, Some(&log));
     run.hears("the run goes on without it");
+    let detected = run.tick();
     sleep_ns(500 * MS_NS);
     run.until("it moves on", |seen| seen.enabled && seen.moves);
     run.send("-INT");
-    let times = run.stops_or_ends();
     let (code, _) = run.end();
     assert_eq!(code, Some(1), "{:?}", run.said());
     let log = RunLog::open(&run.log).unwrap();
     assert!(log.cut().is_some() && log.tick_count() > 100);
     let verified = verify(&log).unwrap();
     assert!(verified.violations.is_empty(), "{:?}", verified.violations);
-    let seen = "\"the run goes on without it\"";
+    // The last tick that there was room for, until the operator's next one.
+    let (last, _) = log.ticks().last().unwrap();
     row(
+        "disk-full",
         "the log's disk is full",
-        seen,
-        times,
-        "the run goes on; exit code 1 at its end (SIGINT, whose times these are)",
+        "`the run goes on without it`",
+        &Taken::goes_on(&log, Some(detected.saturating_sub(last.tick))),
+        "exit code 1 at the end",
     );
 }

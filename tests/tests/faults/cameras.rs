@@ -7,25 +7,28 @@ use super::*;
 #[test]
 fn dead_or_hung_cameras_are_restarted_and_the_arm_goes_on() {
     let _turn = alone();
-    for (signal, fault, seen) in [
+    for (signal, name, fault, seen) in [
         (
             "-KILL",
-            "cameras' process killed",
+            "cameras-killed",
+            "the cameras' process of a simulated run killed, `restarts = 2`",
             "the cameras' process ended: signal: 9",
         ),
         (
             "-STOP",
-            "cameras' process stopped (SIGSTOP)",
+            "cameras-hang",
+            "it hangs (SIGSTOP), `restarts = 2`",
             "the cameras' process has sent no heartbeat for ",
         ),
     ] {
         let mut run = Run::start("faults-cameras", CHECKPOINT, 2, None);
         let (policy, cameras) = (run.policy_process(), run.cameras_process());
+        let injected = run.tick();
         send(signal, cameras);
-        let times = run.stops();
+        run.stops();
         run.hears(seen);
         run.hears("the arms stop and hold; it is started again in 0.2 s (1 of 2)");
-        let again = run.until("it goes on", |seen| seen.enabled && seen.moves);
+        run.until("it goes on", |seen| seen.enabled && seen.moves);
         run.hears("the cameras' process is ready again");
         let now = (run.policy_process(), run.cameras_process());
         assert_eq!(now.0, policy, "the policy was none the worse");
@@ -44,11 +47,7 @@ fn dead_or_hung_cameras_are_restarted_and_the_arm_goes_on() {
                 log.events
             );
         }
-        let away_mm = resumed_mm(&log);
-        let recovery = format!(
-            "restarted, goes on {again} ms after the stop, from a target {away_mm:.1} mm away"
-        );
-        row(fault, seen, times, &recovery);
+        row_restarted(name, (fault, seen), &log, injected);
     }
 }
 
@@ -56,19 +55,19 @@ fn dead_or_hung_cameras_are_restarted_and_the_arm_goes_on() {
 fn the_policys_cameras_without_a_restart_end_the_run_at_rest() {
     let _turn = alone();
     let mut run = Run::start("faults-cameras-last", CHECKPOINT, 0, None);
+    let injected = run.tick();
     send("-KILL", run.cameras_process());
-    let times = run.stops_or_ends();
     let (code, result) = run.end();
     let reason = result.unwrap()["reason"].as_str().unwrap().to_owned();
     assert_eq!(
         (code, reason.as_str()),
         (Some(1), "the cameras' process ended: signal: 9 (SIGKILL)")
     );
-    run.checked_log();
     row(
-        "cameras' process killed, no restart left",
-        "the cameras' process ended: signal: 9",
-        times,
+        "cameras-killed-last",
+        "the cameras' process killed, no restart left",
+        "`the cameras' process ended: signal: 9`",
+        &Taken::stops(&run.checked_log(), injected),
         "the run ends, exit code 1",
     );
 }
@@ -78,10 +77,12 @@ fn the_policys_cameras_without_a_restart_end_the_run_at_rest() {
 fn an_arm_whose_log_alone_loses_its_cameras_goes_on() {
     let _turn = alone();
     let mut run = Run::start("faults-cameras-log", "random", 0, None);
+    let injected = run.tick();
     send("-KILL", run.cameras_process());
     let said =
         "the cameras' process ended: signal: 9 (SIGKILL); the run goes on without its frames";
     run.hears(said);
+    let detected = run.tick() - injected;
     run.until("it moves on", |seen| seen.enabled && seen.moves);
     let (log, _) = run.interrupted();
     assert!(log.events.iter().any(|event| event.contains(said)));
@@ -96,7 +97,11 @@ fn an_arm_whose_log_alone_loses_its_cameras_goes_on() {
             OperatorEvent::Disable
         ]
     );
-    println!(
-        "| cameras' process killed, only the log sees them | `the run goes on without its frames` | not paused | the arm goes on | held | the log has no more frames |"
+    row(
+        "cameras-killed-log",
+        "the cameras' process killed, only the log sees its frames",
+        "`the run goes on without its frames`",
+        &Taken::goes_on(&log, Some(detected)),
+        "the log has no more frames",
     );
 }

@@ -7,11 +7,16 @@ use super::*;
 #[test]
 fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
     let _turn = alone();
-    for (stopped_ms, fault) in [
-        (20, "the run is kept from its cores for 20 ms (SIGSTOP)"),
-        (400, "the run is kept from its cores for 0.4 s (SIGSTOP)"),
+    for (stopped_ms, name, fault) in [
+        (
+            20,
+            "stopped-20-ms",
+            "all threads kept from their cores for 20 ms (SIGSTOP)",
+        ),
+        (400, "stopped-400-ms", "the same for 0.4 s"),
     ] {
         let mut run = Run::start("faults-stopped", "random", 0, None);
+        let injected = run.tick();
         run.send("-STOP");
         sleep_ns(stopped_ms * MS_NS);
         run.send("-CONT");
@@ -38,14 +43,15 @@ fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
         );
         assert!(!missed || longest_us >= 50e3, "{result}");
         assert!(overruns >= longest_us / 1e3 - 3.0, "{result}");
-        run.checked_log();
-        let then = if missed {
-            "the run ends, exit code 1"
+        let log = run.checked_log();
+        let (taken, then) = if missed {
+            (Taken::stops(&log, injected), "the run ends, exit code 1")
         } else {
-            "the arm goes on"
+            let taken = Taken::skips(&log, injected);
+            (taken, "its tail is played meanwhile")
         };
         let seen = format!("{overruns} overruns, `{reason}`");
-        println!("| {fault} | {seen} | - | its tail is played meanwhile | held | {then} |");
+        row(name, fault, &seen, &taken, then);
     }
 }
 
@@ -57,7 +63,7 @@ fn too_many_overruns_end_the_run_at_rest() {
     // A machine that is busy enough makes any one run miss the arms' measurements, but not three.
     let named = (1..=3).any(|_| {
         let mut run = Run::start_with("faults-overruns", "random", 0, None, &limit);
-        let mut stops = 0;
+        let (injected, mut stops) = (run.tick(), 0);
         while stops < 6 && run.process.try_wait().unwrap().is_none() {
             run.send("-STOP");
             sleep_ns(30 * MS_NS);
@@ -68,7 +74,7 @@ fn too_many_overruns_end_the_run_at_rest() {
         let (code, result) = run.end();
         let reason = result.unwrap()["reason"].as_str().unwrap().to_owned();
         assert_eq!(code, Some(1), "{reason}");
-        run.checked_log();
+        let log = run.checked_log();
         let rest = reason.strip_prefix("fault: the control thread skipped ");
         let skipped = rest.and_then(|rest| rest.strip_suffix(" periods within a second"));
         let Some(skipped) = skipped else {
@@ -76,8 +82,16 @@ fn too_many_overruns_end_the_run_at_rest() {
             return false;
         };
         assert!(skipped.parse::<u64>().unwrap() > 60, "{reason}");
-        let fault = "overruns beyond `overruns_per_s_max` (SIGSTOP for 30 ms, again and again)";
-        println!("| {fault} | `{reason}` | - | its tail is played meanwhile | held | the run ends, exit code 1 |");
+        let fault =
+            "more overruns than `overruns_per_s_max = 60` (SIGSTOP for 30 ms, again and again)";
+        let (seen, taken) = (format!("`{reason}`"), Taken::stops(&log, injected));
+        row(
+            "overruns",
+            fault,
+            &seen,
+            &taken,
+            "the run ends, exit code 1",
+        );
         true
     });
     assert!(named);
@@ -89,10 +103,11 @@ fn a_fault_can_be_cleared_and_the_run_goes_on() {
     let _turn = alone();
     let holds = ["--set", "control.fault.ends_run=false"];
     let mut run = Run::start_with("faults-cleared", "random", 0, None, &holds);
+    let injected = run.tick();
     run.send("-STOP");
     sleep_ns(400 * MS_NS);
     run.send("-CONT");
-    let rests = run.until("it holds with a fault", |seen| seen.faulty && !seen.moves);
+    run.until("it holds with a fault", |seen| seen.faulty && !seen.moves);
     let of = Ask {
         run: Some(run.process.id().to_string()),
         json: false,
@@ -117,13 +132,12 @@ fn a_fault_can_be_cleared_and_the_run_goes_on() {
             "{told}"
         );
     }
-    let fault = "a fault with `ends_run = false` (SIGSTOP for 0.4 s)";
-    let recovery = "holds in FAULT; goes on after `clear` and `enable`";
     row(
-        fault,
+        "fault-cleared",
+        "a fault with `ends_run = false` (SIGSTOP for 0.4 s)",
         "`fault: no measurement for ...`",
-        (None, rests),
-        recovery,
+        &Taken::stops(&log, injected),
+        "holds in FAULT; moves again after `trocar clear` and `enable`",
     );
 }
 
@@ -131,21 +145,15 @@ fn a_fault_can_be_cleared_and_the_run_goes_on() {
 struct StandingDisk(PathBuf);
 
 impl StandingDisk {
-    /// None where this user may not mount one.
+    /// None where this user, who is not root, may not mount one.
     fn mount() -> Option<Self> {
         let folder = scratch("faults-disk-stands");
         let (image, mounted) = (folder.join("disk.img"), folder.join("mounted"));
         fs::create_dir(&mounted).unwrap();
         fs::File::create(&image).unwrap().set_len(96 << 20).unwrap();
-        let does = |program: &str, arguments: &[&str]| {
-            let mut command = Command::new(program);
-            let command = command.args(arguments).stdout(Stdio::null());
-            let status = command.stderr(Stdio::null()).status();
-            status.is_ok_and(|status| status.success())
-        };
         let (image, place) = (image.to_str()?, mounted.to_str()?);
-        let made = does("mkfs.ext4", &["-q", "-F", image]);
-        (made && does("mount", &["-o", "loop", image, place])).then_some(Self(mounted))
+        let made = granted("mkfs.ext4", &["-q", "-F", image]);
+        (made && granted("mount", &["-o", "loop", image, place])).then_some(Self(mounted))
     }
 
     /// Makes all that is written to it wait until what this gives is dropped.
@@ -180,17 +188,17 @@ const STANDS_NS: u64 = 8_000 * MS_NS;
 fn a_standing_disk_costs_records_and_not_the_loop() {
     let _turn = alone();
     let Some(disk) = StandingDisk::mount() else {
-        println!("skipped: this user may mount no file system of its own");
+        println!("skipped: only root may mount a file system of its own");
         return;
     };
     let log = disk.0.join("run.mcap");
     let mut run = Run::start("faults-stands", "random", 0, Some(&log));
+    let injected = run.tick();
     let frozen = disk.freeze();
     sleep_ns(STANDS_NS);
     run.until("it moves all the while", |seen| seen.enabled && seen.moves);
     drop(frozen);
     run.send("-INT");
-    let times = run.stops_or_ends();
     let (code, result) = run.end();
     let real_time = &result.unwrap()["real_time"];
     let dropped = real_time["log_dropped"].as_u64().unwrap();
@@ -209,21 +217,26 @@ fn a_standing_disk_costs_records_and_not_the_loop() {
         found.iter().all(|limit| *limit == "missing_ticks"),
         "{found:?}"
     );
-    let seen = format!("{dropped} records dropped, `missing_ticks`");
-    let then = "the run goes on; `verify` names the gap (SIGINT, whose times these are)";
-    row("the log's disk stands still for 8 s", &seen, times, then);
+    row(
+        "disk-stands",
+        "the log's disk stands still for 8 s (`fsfreeze`)",
+        &format!("{dropped} log records dropped, `missing_ticks`"),
+        &Taken::drops(&log, injected),
+        "the log goes on too, with a gap that `verify` names",
+    );
 }
 
 /// A policy for other arms or a camera that there is not is refused before anything moves; one that comes back as another ends the run.
 #[test]
 fn a_policy_for_something_else_is_refused_by_name() {
     let _turn = alone();
-    for (asks, expected) in [
+    for (asks, name, expected) in [
         (
             Asks {
                 arms: 2,
                 ..Asks::usual()
             },
+            "policy-other-arms",
             "commands 2 arms, there are 1",
         ),
         (
@@ -231,6 +244,7 @@ fn a_policy_for_something_else_is_refused_by_name() {
                 camera: Some("ear"),
                 ..Asks::usual()
             },
+            "policy-other-camera",
             "ear",
         ),
         (
@@ -238,6 +252,7 @@ fn a_policy_for_something_else_is_refused_by_name() {
                 every_steps: 0,
                 ..Asks::usual()
             },
+            "policy-malformed",
             "says a query interval of 0 steps",
         ),
     ] {
@@ -254,13 +269,14 @@ fn a_policy_for_something_else_is_refused_by_name() {
         let asks = (asks.arms, asks.every_steps, asks.camera.unwrap_or("none"));
         let (arms, every, camera) = asks;
         let fault = format!("a policy for {arms} arm(s), every {every} steps, camera {camera}");
-        println!("| {fault} | `{expected}` | - | never moved | held | exit code 2 |");
+        row_at_rest(name, &fault, &format!("`{expected}`"), "exit code 2");
     }
     let topics = format!("faults-{}-changed", std::process::id());
     let performer = Performer::appear(&topics);
     let mut run = Run::start("faults-changed", &format!("external:{topics}"), 1, None);
+    let injected = run.tick();
     drop(performer);
-    let times = run.stops();
+    run.stops();
     let _other = Performer::asking(
         &topics,
         Asks {
@@ -272,11 +288,11 @@ fn a_policy_for_something_else_is_refused_by_name() {
     let reason = result.unwrap()["reason"].as_str().unwrap().to_owned();
     let expected = "has come back as another";
     assert!(reason.contains(expected) && code == Some(1), "{reason}");
-    run.checked_log();
     row(
-        "a policy comes back as another",
-        expected,
-        times,
+        "policy-another",
+        "external policy leaves, comes back and asks for other observations, `restarts = 1`",
+        &format!("`{expected}`"),
+        &Taken::stops(&run.checked_log(), injected),
         "the run ends, exit code 1",
     );
 }

@@ -17,6 +17,9 @@ const ARM: &str = "psm1";
 /// Policy steps from one answer to the next, and of a chunk.
 const EVERY_STEPS: u64 = 5;
 const CHUNK_STEPS: u64 = 25;
+/// Ticks that a chunk lasts.
+pub(crate) const CHUNK_TICKS: usize = 1000;
+const _: () = assert!(CHUNK_TICKS as u64 * TICK_NS == CHUNK_STEPS * STEP_NS);
 /// How far it swings, m, and how long that takes, s.
 const SWING_M: f64 = 0.01;
 const PERIOD_S: f64 = 1.6;

@@ -33,6 +33,8 @@ const MS_NS: u64 = 1_000_000;
 /// For how many frames a camera is well, and the time between two.
 const GOOD_FRAMES: u64 = 50;
 const FRAME_NS: u64 = 20 * MS_NS;
+/// Ticks that an arm may take to rest after a fault is detected: what a run gives its arms at its end, more than twice the longest stop.
+const STOP_TICKS_MAX: usize = 500;
 /// How often a run that a busy machine ends is tried.
 const RUNS_MAX: usize = 4;
 
@@ -250,8 +252,8 @@ fn run_with(fails: Fails, log: &Path) -> (String, TimeNs) {
     (result.summary.reason, TimeNs(failed.into_inner()))
 }
 
-/// After which times from `failed` the arm, which moved, was paused and at rest, ms; no limit is broken.
-fn stops(log: &Path, failed: TimeNs) -> (u64, u64) {
+/// Ticks from `failed` until the arm, which moved, was paused, and from then on until it was at rest; no limit is broken.
+fn stops(log: &Path, failed: TimeNs) -> (u64, usize) {
     let log = RunLog::open(log).unwrap();
     assert!(replay(&log).unwrap().identical);
     let verified = verify(&log).unwrap();
@@ -264,9 +266,22 @@ fn stops(log: &Path, failed: TimeNs) -> (u64, u64) {
         |tick: &trocar_log::LoggedTick| tick.arms.first.operator == Some(OperatorEvent::Pause);
     let mut after = log.ticks().skip_while(|(tick, _)| !paused(tick));
     let (paused, _) = after.next().unwrap();
-    let (rests, _) = after.find(|(tick, _)| fastest(tick) <= 0.0).unwrap();
-    let ms = |tick: &trocar_log::LoggedTick| tick.now.since(failed) / MS_NS;
-    (ms(paused), ms(rests))
+    let mut after = after.zip(1..);
+    let (_, rests) = after.find(|((tick, _), _)| fastest(tick) <= 0.0).unwrap();
+    assert!(rests <= STOP_TICKS_MAX, "at rest after {rests} ticks");
+    (paused.now.since(failed) / TICK_NS, rests)
+}
+
+/// Keeps and prints a row of the fault matrix.
+#[expect(clippy::print_stdout, reason = "the rows are printed too")]
+fn row(name: &str, fault: &str, said: &str, (paused, rests): (u64, usize)) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/scratch/fault-matrix");
+    fs::create_dir_all(&folder).unwrap();
+    let row = format!(
+        "| a camera of a robot {fault} | `{said}` | {paused} | {rests} of {STOP_TICKS_MAX} | held | the run ends, exit code 1 |\n"
+    );
+    print!("{row}");
+    fs::write(folder.join(name), row).unwrap();
 }
 
 struct Log(PathBuf);
@@ -277,35 +292,45 @@ impl Drop for Log {
     }
 }
 
+/// Each keeps its row of the fault matrix (`tests/scripts/fault_matrix.py`).
 #[test]
-#[expect(clippy::print_stdout, reason = "the table is what it prints")]
 fn an_arm_whose_camera_fails_while_it_moves_comes_to_rest() {
     let silent = "camera scope has published no frame for 2 s";
     let cases = [
-        (Fails::Freezes, "one exposure again and again", silent),
+        (
+            Fails::Freezes,
+            "camera-freezes",
+            "shows one exposure again and again",
+            silent,
+        ),
         (
             Fails::Repeats,
-            "the same pixels with new exposure times, `frozen_s = 0.5`",
+            "camera-repeats",
+            "stamps the same pixels anew, `frozen_s = 0.5`",
             "camera scope has shown the very same pixels for 0.5 s",
         ),
         (
             Fails::Grows,
-            "frames of another size",
+            "camera-grows",
+            "shows frames of another size",
             "camera scope shows other frames than at first: 8 x 8 pixels",
         ),
-        (Fails::Killed, "killed while it writes a frame", silent),
+        (
+            Fails::Killed,
+            "camera-killed",
+            "is killed while it writes a frame",
+            silent,
+        ),
     ];
-    for (fails, fault, said) in cases {
-        let name = format!("trocar-{}-{fails:?}.mcap", std::process::id());
-        let log = Log(std::env::temp_dir().join(name));
+    for (fails, name, fault, said) in cases {
+        let log = format!("trocar-{}-{fails:?}.mcap", std::process::id());
+        let log = Log(std::env::temp_dir().join(log));
         // A machine that leaves the loop without the processor for long is a fault of its own.
         let mut runs = (0..RUNS_MAX).map(|_| run_with(fails, &log.0));
         let (reason, failed) = runs
             .find(|(reason, _)| !reason.starts_with("fault: "))
             .unwrap_or_default();
         assert_eq!(reason, said, "{fails:?}");
-        let (paused, rests) = stops(&log.0, failed);
-        let then = "the run ends, exit code 1";
-        println!("| a camera: {fault} | `{said}` | {paused} ms | {rests} ms | held | {then} |");
+        row(name, fault, said, stops(&log.0, failed));
     }
 }
