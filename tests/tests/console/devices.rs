@@ -221,7 +221,8 @@ fn a_spacemouse_moves_the_tip() {
     assert_eq!(browser.errors, Vec::<String>::new());
 }
 
-/// With two eyes the headset shows each its own picture, with one the same to both.
+/// With two eyes the headset shows each its own picture, with one the same to both. That a picture is shown is told from within its frames
+/// alone.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn a_headset_has_two_eyes() {
@@ -241,6 +242,11 @@ fn a_headset_has_two_eyes() {
         } else {
             assert_eq!(browser.evaluate("operator.seen[0]"), 0);
         }
+        browser.wait_until("shown.headset > 0");
+        browser.evaluate("window.before = { ...shown }, true");
+        browser.wait_until("shown.headset > before.headset + 2");
+        assert_eq!(browser.evaluate("shown.page === before.page"), true);
+        browser.wait_until("told.teleop.camera_to_page_ms?.p50 > 0");
         assert_eq!(browser.errors, Vec::<String>::new());
     }
 }

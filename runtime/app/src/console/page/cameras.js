@@ -12,6 +12,7 @@ export class Cameras {
   #send;
   #others;
   #also = [];
+  #elsewhere = false;
 
   /** `others` says which streams are wanted besides. */
   constructor(send, others) {
@@ -45,6 +46,20 @@ export class Cameras {
     this.want();
   }
 
+  /** Whether the person looks at the pictures elsewhere, in a headset, whose frames say by `uploaded` what they show. */
+  elsewhere(on) {
+    this.#elsewhere = on;
+  }
+
+  /** The picture that `image` has now is in the headset's frame that is being drawn. */
+  uploaded(image) {
+    const camera = this.#views.findIndex((view) => view.image === image);
+    const view = this.#views[camera];
+    if (!view || image.src !== view.url) return;
+    view.uploads += 1;
+    if (view.uploads % SHOWN_EVERY === 0) this.#send({ shown: [camera, view.seconds] });
+  }
+
   /** The element with the newest picture of a camera, if there is such a camera. */
   image(camera) {
     return this.#views[camera]?.image;
@@ -73,6 +88,7 @@ export class Cameras {
   async #draw(view, { seconds, blob }) {
     const before = view.url;
     view.url = URL.createObjectURL(blob);
+    view.seconds = seconds;
     view.image.src = view.url;
     try {
       await view.image.decode();
@@ -89,16 +105,16 @@ export class Cameras {
 
   /**
    * Tells the run that the picture of `seconds` is shown: its browser draws it in the frame that begins next. Where no frames begin (a hidden
-   * page, a headset) nothing is told, then or later.
+   * page) nothing is told, then or later; of what is looked at in a headset its own frames tell.
    */
   #shown(view, seconds) {
-    if (view.awaited) return;
+    if (view.awaited || this.#elsewhere) return;
     view.awaited = true;
     const asked = performance.now();
     requestAnimationFrame(() => {
       view.awaited = false;
       const camera = this.#views.indexOf(view);
-      if (camera >= 0 && performance.now() - asked < FRAME_MS) this.#send({ shown: [camera, seconds] });
+      if (camera >= 0 && !this.#elsewhere && performance.now() - asked < FRAME_MS) this.#send({ shown: [camera, seconds] });
     });
   }
 
@@ -151,7 +167,7 @@ export class Cameras {
     frame.append(image, path);
     figure.append(frame, caption);
     this.root.append(figure);
-    const view = { name, image, path, select, rate, plane, count: 0, total: 0, url: null, next: null, busy: false };
+    const view = { name, image, path, select, rate, plane, count: 0, total: 0, uploads: 0, url: null, seconds: 0, next: null, busy: false };
     frame.hidden = plane === "off";
     select.onchange = () => {
       view.plane = select.value;

@@ -19,7 +19,7 @@ export class Headset {
 
   /**
    * `tell(arms)` gets the hands of each frame, `arms()` says how many there are; `eyes.images()` are what the left and the right eye see,
-   * `eyes.want(on)` asks for them; `more.words()` are the lines to read there,
+   * `eyes.want(on)` asks for them, `eyes.uploaded(image)` hears what the frame being drawn shows anew; `more.words()` are the lines to read there,
    * `more.scene(canvas)` is what draws the scene for an eye, if it is to be seen there.
    */
   constructor(tell, arms, eyes, more) {
@@ -85,7 +85,7 @@ export class Headset {
       }
     }
     this.#tell(arms);
-    this.#screen?.draw(frame, this.#space, this.#eyes.images(), this.#more);
+    this.#screen?.draw(frame, this.#space, this.#eyes, this.#more);
   }
 
   // Of two arms the left hand has the second: psm1 is on the right in the picture. Of one arm the right hand has it.
@@ -150,14 +150,15 @@ class Screen {
     }
   }
 
-  /** Binds the picture of an eye; whether it has one. */
-  #bind(eye, image) {
+  /** Binds the picture of an eye, which `uploaded` hears of if it is new; whether there is one. */
+  #bind(eye, image, uploaded) {
     const { gl } = this;
     const picture = this.pictures[eye];
     gl.bindTexture(gl.TEXTURE_2D, picture.texture);
     if (image?.naturalWidth && image.complete && image.src !== picture.shown) {
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, gl.RGB, gl.UNSIGNED_BYTE, image);
       picture.shown = image.src;
+      uploaded(image);
     }
     return picture.shown !== null;
   }
@@ -179,7 +180,7 @@ class Screen {
     lines.shown = text;
   }
 
-  draw(frame, space, images, { words, scene }) {
+  draw(frame, space, eyes, { words, scene }) {
     const { gl, layer } = this;
     const viewer = frame.getViewerPose(space);
     gl.bindFramebuffer(gl.FRAMEBUFFER, layer.framebuffer);
@@ -187,12 +188,13 @@ class Screen {
     if (!viewer) return;
     const paint = scene(gl.canvas);
     const lines = words();
+    const images = eyes.images();
     for (const view of viewer.views) {
       const eye = view.eye === "right" && images[1] !== images[0] ? 1 : 0;
       const port = layer.getViewport(view);
       gl.viewport(port.x, port.y, port.width, port.height);
       const clip = new DOMMatrix([...view.projectionMatrix]).multiply(new DOMMatrix([...view.transform.inverse.matrix]));
-      if (this.#bind(eye, images[eye])) this.#quad(clip);
+      if (this.#bind(eye, images[eye], eyes.uploaded)) this.#quad(clip);
       this.#write(lines);
       this.#quad(clip.multiply(LINES.place));
       paint?.(clip, view.transform.position);

@@ -40,8 +40,10 @@ export class Teleop {
       images: () => [this.#picture?.camera ?? 0, this.#picture?.right ?? this.#picture?.camera ?? 0].map((camera) => cameras.image(camera)),
       want: (on) => {
         scene.rest(on);
+        cameras.elsewhere(on);
         cameras.also(on && Number.isInteger(this.#picture?.right) ? [this.#picture.right] : []);
       },
+      uploaded: (image) => cameras.uploaded(image),
     };
     const more = { words: () => this.#lines(), scene: (canvas) => scene.inHeadset(canvas) };
     this.headset = new Headset((arms) => this.#tell(arms), () => this.#status?.arms.length ?? 1, eyes, more);

@@ -68,7 +68,7 @@ pub struct TeleopSummary {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hand_to_command_ms: Option<LatencyMs>,
     /// From a picture's instant to its showing on the page that steers: what the page says of every fifth picture after the browser's
-    /// next frame began, less half the shortest round trip. Absent if none was shown.
+    /// next frame began, or once it is uploaded in a headset's frame, less half the shortest round trip. Absent if none was shown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera_to_page_ms: Option<FrameAgeMs>,
     /// The shortest way to the page and back, ms, if it was measured.
