@@ -13,6 +13,7 @@ use trocar::session::latency::Latency;
 use trocar::session::{Plan, PolicyChoice, SessionError};
 use trocar_tasks::simulation::{Rendering, Simulation};
 
+use crate::devices::{Tip, near};
 use crate::devtools::Browser;
 use crate::run::{Served, verified};
 
@@ -133,12 +134,24 @@ pub(crate) fn operated_with(test: &str, served: &Served, device: &str, runtime: 
     browser
 }
 
-fn lift(browser: &mut Browser) {
-    let way = way_to_lift();
-    browser.evaluate(&format!("operator.follow({way}), true"));
-    browser.wait_until(
-        "operator.done || /Success|recorded/.test(document.querySelector('#banner').textContent)",
-    );
+pub(crate) fn lift(browser: &mut Browser) {
+    for place in way_to_lift().as_array().unwrap() {
+        browser.evaluate(&format!("operator.follow([{place}]), true"));
+        browser.wait_until(
+            "operator.done || /Success|recorded/.test(document.querySelector('#banner').textContent)",
+        );
+    }
+}
+
+/// A controller that is not tracked in mid-motion lets go and the arm rests; one that comes back with its squeeze held moves nothing.
+pub(crate) fn loses_tracking(browser: &mut Browser) {
+    browser.evaluate("operator.lose([0, 1, 0]).then(() => true)");
+    browser.wait_until("!told.teleop.arms[0].engaged && told.arms[0].commanded_velocity.every((v) => Math.abs(v) < 1e-4)");
+    let rest = Tip::rested(browser);
+    browser.evaluate("operator.tracked = true, new Promise((done) => setTimeout(done, 500))");
+    near(rest.way(&Tip::rested(browser)), [0.0; 3], 1e-5);
+    assert_eq!(browser.evaluate("told.teleop.arms[0].engaged"), false);
+    browser.evaluate("operator.rest(), true");
 }
 
 pub(crate) fn wait_for_end(browser: &mut Browser, words: &str) {
@@ -307,17 +320,12 @@ fn a_headset_lifts_the_needle_and_the_dataset_trains() {
     browser
         .wait_until("document.querySelector('#episode-state').textContent.includes('is recorded')");
     browser.wait_until("!document.querySelector('#enter-vr').hidden");
-    browser.evaluate("document.querySelector('#enter-vr').click()");
+    browser.evaluate(
+        "operator.eyes = true, operator.compares = false, document.querySelector('#enter-vr').click()",
+    );
     browser.wait_until("document.querySelector('#enter-vr-text').textContent.startsWith('Leave')");
     aligns(&mut browser, &folder);
-    // A controller that is not tracked lets go, and one that comes back with its squeeze held moves nothing.
-    browser.evaluate("operator.take(), true");
-    browser.wait_until("told.teleop.arms[0].engaged");
-    browser.evaluate("operator.tracked = false, true");
-    browser.wait_until("told.teleop.arms[0].lost?.includes('device disconnected')");
-    browser.evaluate("operator.tracked = true, new Promise((done) => setTimeout(done, 500))");
-    assert_eq!(browser.evaluate("told.teleop.arms[0].engaged"), false);
-    browser.evaluate("operator.rest(), true");
+    loses_tracking(&mut browser);
     lift(&mut browser);
     wait_for_end(&mut browser, "1 episodes are recorded");
     assert_eq!(served.code(), 0);

@@ -8,7 +8,25 @@ window.WebSocket = class extends WebSocket {
       if (told?.kind === "state") window.told = told;
     });
   }
+
+  send(message) {
+    super.send(message);
+    if (message.startsWith('{"shown"')) window.shown[window.headsetDraws ? "headset" : "page"] += 1;
+  }
 };
+
+/** How often the run was told of a picture that is shown: from within a frame of the headset, and otherwise. */
+window.shown = { headset: 0, page: 0 };
+
+/** A frame of the headset. */
+function drawn(frame) {
+  window.headsetDraws = true;
+  try {
+    frame();
+  } finally {
+    window.headsetDraws = false;
+  }
+}
 
 const SCALE = 0.4;
 
@@ -161,8 +179,9 @@ class Controller {
   }
 
   go(seconds) {
-    this.at = this.at.map((value, axis) => value + (this.moving?.[0][axis] ?? 0) * this.rate * seconds);
-    const [x, y, z] = this.moving?.[1].map((value) => (value * 0.3 * seconds) / 2) ?? [0, 0, 0];
+    const time = seconds / window.operator.pace;
+    this.at = this.at.map((value, axis) => value + (this.moving?.[0][axis] ?? 0) * this.rate * time);
+    const [x, y, z] = this.moving?.[1].map((value) => (value * 0.3 * time) / 2) ?? [0, 0, 0];
     const turned = product([x, y, z, 1], this.turn);
     this.turn = turned.map((value) => value / Math.hypot(...turned));
   }
@@ -176,7 +195,7 @@ class Controller {
   hold(on) { this.buttons[1] = { value: Number(on), pressed: on }; }
   jaw(closed) { this.buttons[0] = { value: closed, pressed: closed > 0.5 }; }
   drive(way, turn) { this.moving = [way, turn]; }
-  time(axis, amount) { return amount / (axis < 3 ? 0.013 : 0.3); }
+  time(axis, amount) { return (amount * window.operator.pace) / (axis < 3 ? 0.013 : 0.3); }
 
   /** Held as the instrument with this tip points, and turned from there by an angle, rad, about the picture's x. */
   align(tip, angle = 0) {
@@ -200,8 +219,9 @@ class Headset {
       requestAnimationFrame(frame) {
         const pose = ({ transform }) => window.operator.tracked && { emulatedPosition: false, transform };
         return setTimeout(() => {
-          frame(performance.now(), { getPose: pose, getViewerPose: () => (window.operator.eyes ? { views: EYES } : null) });
-          if (window.operator.eyes) compareEyes(layer.gl);
+          const viewer = () => (window.operator.eyes ? { views: EYES } : null);
+          drawn(() => frame(performance.now(), { getPose: pose, getViewerPose: viewer }));
+          if (window.operator.eyes && window.operator.compares) compareEyes(layer.gl);
         }, 14);
       }
       async end() { this.dispatchEvent(new Event("end")); }
@@ -239,8 +259,8 @@ class Emulated {
     const ask = XRSession.prototype.requestAnimationFrame;
     XRSession.prototype.requestAnimationFrame = function request(callback) {
       return ask.call(this, (time, frame) => {
-        callback(time, frame);
-        if (window.operator.eyes) compareEyes(this.renderState.baseLayer.context);
+        drawn(() => callback(time, frame));
+        if (window.operator.eyes && window.operator.compares) compareEyes(this.renderState.baseLayer.context);
       });
     };
     let before = performance.now();
@@ -321,6 +341,11 @@ const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 /** Looks where the tip is, moves towards where it should be for as long as that takes, and looks again. */
 window.operator = {
   tracked: true,
+  /** Whether a headset shows anything, and whether what its eyes see is compared. */
+  eyes: false,
+  compares: true,
+  /** How many times slower than a run in threefold slow motion wants it a controller is moved, and waited for. */
+  pace: 1,
   moves: false,
   there: false,
   done: false,
@@ -373,6 +398,16 @@ window.operator = {
     }
   },
 
+  /** Controllers are no longer tracked while they move the arm; a loss of another cause before is none. */
+  async lose(way) {
+    do {
+      this.tracked = true;
+      await this.move(way);
+      this.tracked = false;
+      while (this.told.lost === null) await sleep(20);
+    } while (!this.told.lost.includes("device disconnected"));
+  },
+
   /** Takes the clutch and pushes until `fits`, however often the run lets go of it meanwhile; then holds still. */
   async until(way, turn, fits) {
     this.there = false;
@@ -419,7 +454,7 @@ window.operator = {
     ];
     const close = errors.map((error, axis) => Math.abs(error) < this.within[axis < 3 ? 0 : 1]);
     if (close.every(Boolean)) return false;
-    const times = errors.map((error, axis) => (close[axis] ? 0 : Math.min(1.5, this.hands.time(axis, Math.abs(error)))));
+    const times = errors.map((error, axis) => (close[axis] ? 0 : Math.min(1.5 * this.pace, this.hands.time(axis, Math.abs(error)))));
     const begin = performance.now();
     for (let elapsed = 0; elapsed < Math.max(...times); elapsed = (performance.now() - begin) / 1000) {
       const signs = errors.map((error, axis) => (times[axis] > elapsed ? Math.sign(error) : 0));
@@ -427,7 +462,7 @@ window.operator = {
       await sleep(10);
     }
     this.hands.drive([0, 0, 0], [0, 0, 0]);
-    await sleep(900);
+    await sleep(900 * this.pace);
     return true;
   },
 
@@ -438,11 +473,11 @@ window.operator = {
       if (window.device !== "keyboard" && (jaw === 0 || tries > 0)) {
         // Through the jaw's angle and back: from there it follows.
         this.hands.jaw(1 - jaw);
-        await sleep(200);
+        await sleep(200 * this.pace);
       }
       for (let looks = 0; looks < 60; looks += 1) {
         this.hands.jaw(jaw);
-        await sleep(50);
+        await sleep(50 * this.pace);
       }
       far = Math.abs(this.told.jaw - jaw) > 0.1;
     }
