@@ -5,8 +5,9 @@
 
 The parts, all of them if none is named: `frames` (pictures a second with one and with five pages, and while a hand steers; camera to page; hand
 to command), `timing` (the control thread's tick and wake-up in one run, first without a page and then with five, from its log, for which `zstd`
-has to be there), `mutated` (so many broken messages; resident memory, engagements, and what `verify` says of the log). Pages are WebSocket clients
-that take what they are sent and draw nothing.
+has to be there), `mutated` (so many broken messages of the page that steers, between whole ones whose clutch is open; how many are refused, resident
+memory, engagements, and what `verify` says of the log, on which the exit code depends). Pages are WebSocket clients that take what they are sent and
+draw nothing.
 """
 
 import argparse
@@ -23,19 +24,29 @@ import threading
 import time
 from pathlib import Path
 
-# What a broken message was made of.
+# What a broken message was made of; {t} is the page's time, ms.
 WHOLE = [
-    b'{"hands":{"t":1e9,"arms":[{"clutch":true,"at":[0.5,0.5,0.5],"turn":[0,0,0,1],"jaw":0.5}]}}',
-    b'{"hands":{"t":0.5,"arms":[null,{"clutch":true,"at":[0,0,0],"turn":[0,0,0,1],"jaw":0}]}}',
-    b'{"command":"pause"}',
-    b'{"show":[[0,"colour"]]}',
-    b'{"shown":[0,1.5]}',
-    b'{"seen":4}',
-    b'{"scale":0.4}',
-    b'{"hands_off":true}',
+    '{"hands":{"t":{t},"arms":[{"clutch":true,"at":[0.5,0.5,0.5],"turn":[0,0,0,1],"jaw":0.5}]}}',
+    '{"hands":{"t":{t},"arms":[null,{"clutch":true,"at":[0,0,0],"turn":[0,0,0,1],"jaw":0}]}}',
+    '{"command":"pause"}',
+    '{"show":[[0,"colour"]]}',
+    '{"shown":[0,1.5]}',
+    '{"seen":4}',
+    '{"scale":0.4}',
+    '{"align":30}',
+    '{"label":"first try"}',
+    '{"episode":"start"}',
+    '{"hand_back":true}',
+    '{"open":0}',
+    '{"at":1.5}',
+    '{"hands_off":true}',
 ]
-# Messages that a page may send before it is sent away as too talkative.
-STORE = 290
+# A hand that lets go: a broken message after it may take the clutch.
+OPEN = '{"hands":{"t":{t},"arms":[{"clutch":false,"at":[0.5,0.5,0.5],"turn":[0,0,0,1],"jaw":0.5}]}}'
+# A message whose answer comes after those to all before it.
+LAST = {"command": "is that all"}
+# Messages that a page may send at once before it is sent away as too talkative: 300, of which some take the seat.
+STORE = 280
 PATIENCE_S = 600
 
 
@@ -68,6 +79,12 @@ class Page:
         size = bytes([0x80 | len(text)]) if len(text) < 126 else bytes([0x80 | 126]) + struct.pack(">H", len(text))
         with self.sending:
             self.socket.sendall(bytes([0x80 | kind]) + size + b"\0\0\0\0" + text)
+
+    def close(self) -> None:
+        """Ends the connection, which the stream holds too."""
+        self.socket.shutdown(socket.SHUT_RDWR)
+        self.stream.close()
+        self.socket.close()
 
     def take(self, count: int) -> bytes:
         taken = self.stream.read(count)
@@ -230,38 +247,96 @@ def timing(args: argparse.Namespace) -> None:
         print(f"{name}, {len(part)} ticks: tick {tick}; wake-up {wake}")
 
 
+def now_in(message: str) -> bytes:
+    return message.replace("{t}", f"{time.monotonic() * 1e3:.5f}").encode()
+
+
 def mutated(dice: random.Random) -> bytes:
-    message = bytearray(dice.choice(WHOLE))
+    message = bytearray(now_in(dice.choice(WHOLE)))
+    digits = [at for at, byte in enumerate(message) if 48 <= byte <= 57]
+    if digits and dice.randrange(2):
+        # Another value, of which many are still read.
+        message[dice.choice(digits)] = dice.choice(b"0123456789.-e")
+        return bytes(message)
     for _ in range(dice.randrange(1, 4)):
-        message[dice.randrange(len(message))] = dice.randrange(32, 127)
+        at, byte = dice.randrange(len(message)), dice.randrange(32, 127)
+        if (way := dice.randrange(4)) == 0:
+            message[at] = byte
+        elif way == 1 and len(message) > 1:
+            del message[at]
+        elif way == 2:
+            message.insert(at, byte)
+        else:
+            message[at:at] = message[at : at + 8]
     return bytes(message)
+
+
+class Breaker(threading.Thread):
+    """A page that steers and counts those of its messages that are none, and those refused for what they say, until the answer to the last one."""
+
+    def __init__(self, run: Run) -> None:
+        super().__init__(daemon=True)
+        self.page = Page(run.port, run.token)
+        self.unparsed = self.refused = 0
+        self.answered = False
+        self.page.say({"steer": True})
+        while not (told := self.told()).get("steers"):
+            # The page before may not be known to be gone.
+            self.page.say({"steer": True} if told.get("kind") == "seat" else {"seen": 1})
+        self.page.say({"command": "resume"})
+        self.start()
+
+    def told(self) -> dict:
+        kind, data = self.page.hear()
+        return json.loads(data) if kind == 1 else {}
+
+    def run(self) -> None:
+        try:
+            while not self.answered:
+                told = self.told()
+                self.answered = told.get("command") == LAST["command"]
+                text = told.get("text") or ""
+                unparsed = text.startswith("no message of the console")
+                failed = told.get("kind") == "answer" and not told["ok"] and not self.answered
+                self.unparsed += unparsed
+                self.refused += failed or (told.get("kind") == "problem" and not unparsed)
+        except (EOFError, OSError):
+            pass
 
 
 def break_messages(args: argparse.Namespace) -> None:
     run = Run(args.trocar, "teleop", 3600, log=True)
     dice = random.Random(7)
-    Watcher(run)
-    time.sleep(3)
-    before, most, sent = run.rss_mb(), 0.0, 0
+    watcher = Watcher(run)
+    while not any(arm["state"] == "ENABLED" for arm in watcher.state.get("arms", [])):
+        time.sleep(0.01)
+    before, most, sent, unparsed, refused, away = run.rss_mb(), 0.0, 0, 0, 0, 0
     while sent < args.mutated:
+        breaker = Breaker(run)
         try:
-            page = Page(run.port, run.token)
-            page.say({"steer": True})
-            for _ in range(STORE):
-                page.say(mutated(dice))
+            for _ in range(STORE // 2):
+                breaker.page.say(now_in(OPEN))
+                breaker.page.say(mutated(dice))
                 sent += 1
-            page.socket.close()
-        except (EOFError, OSError):
+            breaker.page.say(LAST)
+        except OSError:
             # It was sent away.
             pass
+        breaker.join()
+        breaker.page.close()
+        unparsed, refused, away = unparsed + breaker.unparsed, refused + breaker.refused, away + (not breaker.answered)
         most = max(most, run.rss_mb())
     after = run.rss_mb()
     page = Page(run.port, run.token)
     page.say({"command": "stop"})
     teleop = run.end()["teleop"]
     verified = subprocess.run([args.trocar, "verify", str(run.log)], stdout=subprocess.PIPE, text=True)
-    print(f"{sent} broken messages: {before:.0f} MB before, {after:.0f} after, {most:.0f} at most")
+    # Whole ones are refused too, after a broken one whose time is ahead of theirs.
+    print(f"{sent} broken messages, {sent - unparsed} parsed; with as many whole ones {refused} refused for what they say; {away} pages sent away")
+    print(f"resident memory: {before:.0f} MB before, {after:.0f} after, {most:.0f} at most")
     print(f"engagements {teleop['engagements']}; verify {verified.returncode}: {verified.stdout.strip().splitlines()[0]}")
+    if verified.returncode:
+        sys.exit(1)
 
 
 PARTS = {"frames": frames, "timing": timing, "mutated": break_messages}
