@@ -231,6 +231,14 @@ fn expect_a_stop(log: &RunLog) {
     }
 }
 
+/// How many durations the histogram of `what` holds.
+fn counted(real_time: &serde_json::Value, what: &str) -> u64 {
+    let histogram = &real_time["histograms"][what];
+    let [ends, counts] = ["ends_us", "counts"].map(|list| histogram[list].as_array().unwrap());
+    assert_eq!(ends.len(), counts.len());
+    counts.iter().map(|count| count.as_u64().unwrap()).sum()
+}
+
 /// The expert lifts the needle and the log replays and verifies.
 #[test]
 fn expert_lifts_the_needle_and_the_log_verifies() {
@@ -243,6 +251,9 @@ fn expert_lifts_the_needle_and_the_log_verifies() {
         let log = checked_log(&path, &result);
         let real_time = &result["real_time"];
         assert!(real_time["wake_us"]["p99"].as_f64().unwrap() > 0.0);
+        let ticks = result["ticks"].as_u64().unwrap();
+        assert_eq!(counted(real_time, "tick"), ticks);
+        assert_eq!(counted(real_time, "wake"), counted(real_time, "period") + 1);
         assert_eq!(real_time["thread"]["allocations"], 0, "{result}");
         expect_a_stop(&log);
         let success = result["success"] == true;

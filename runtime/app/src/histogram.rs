@@ -87,6 +87,13 @@ impl Histogram {
             .unwrap_or(0)
     }
 
+    /// The buckets that hold any durations, in ascending order: the largest that each counts, ns, and how many it has.
+    pub fn buckets(&self) -> impl Iterator<Item = (u64, u64)> {
+        let held = self.counts.iter().enumerate();
+        let held = held.filter(|(_, count)| **count > 0);
+        held.map(|(bucket, count)| (last_of(bucket), *count))
+    }
+
     /// The least duration, ns, that a `fraction` (0 to 1) of all do not exceed; up to 3.2 % above it, never above the
     /// longest. 0 if there is none.
     #[must_use]
@@ -193,6 +200,16 @@ mod tests {
             ),
             (40, 40, u64::MAX)
         );
+    }
+
+    #[test]
+    fn only_buckets_that_hold_any_are_listed() {
+        let mut histogram = Histogram::new();
+        for duration_ns in [7, 1_000, 7, 1_001] {
+            histogram.record(duration_ns);
+        }
+        let buckets: Vec<_> = histogram.buckets().collect();
+        assert_eq!(buckets, [(7, 2), (1_007, 2)]);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Scheduling, memory locking, cores and the timer.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::thread;
 
 use super::{Finding, Status};
@@ -16,6 +16,8 @@ const PRIORITY: u8 = 80;
 const TIMER_PERIODS: u32 = 300;
 /// Worst lateness that a 1 kHz loop can take without a thought, ns.
 const TIMER_GOOD_NS: u64 = 200_000;
+/// Where control groups are.
+const GROUPS: &str = "/sys/fs/cgroup";
 /// Memory that a control process locks, more than most limits allow.
 const LOCK_BYTES: usize = 64 << 20;
 
@@ -54,12 +56,39 @@ pub(super) fn cores() -> Finding {
     } else {
         format!("isolated: {isolated}")
     };
-    Finding::new(
-        "cores",
-        status,
-        format!("{count} usable, {kept}"),
-        &isolation(count),
-    )
+    let found = format!("{count} usable, {kept}");
+    let Some((quota, file)) = own_group().and_then(|own| quota(Path::new(GROUPS), &own)) else {
+        return Finding::new("cores", status, found, &isolation(count));
+    };
+    let found = format!("{found}; the control group may use {quota:.1} cores' time");
+    let lifts = format!(
+        "`echo max | sudo tee {}`; {}",
+        file.display(),
+        isolation(count)
+    );
+    Finding::new("cores", Status::Limited, found, &lifts)
+}
+
+/// The control group of this process in cgroup v2.
+fn own_group() -> Option<String> {
+    let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
+    let own = groups.lines().find_map(|line| line.strip_prefix("0::"));
+    own.map(str::to_owned)
+}
+
+/// How many cores' time a control group below `root` may use in cgroup v2, and the file that says so: the least `cpu.max` of its own and those
+/// above it.
+fn quota(root: &Path, group: &str) -> Option<(f64, PathBuf)> {
+    let group = root.join(group.trim_start_matches('/'));
+    let limits = group.ancestors().take_while(|at| at.starts_with(root));
+    let limits = limits.filter_map(|at| {
+        let file = at.join("cpu.max");
+        let text = fs::read_to_string(&file).ok()?;
+        let (quota, period) = text.trim().split_once(' ')?;
+        let [quota, period] = [quota, period].map(|us| us.parse::<f64>().ok());
+        Some((quota? / period?, file))
+    });
+    limits.min_by(|one, other| one.0.total_cmp(&other.0))
 }
 
 /// The commands that keep the last of `count` cores for the control thread.
@@ -99,11 +128,18 @@ pub(super) fn fifo() -> Finding {
     }
 }
 
-/// What else holds it back where the kernel shares real-time out among control groups and gives this one none.
+/// What else holds it back where the kernel shares real-time out among control groups and gives this one none. In cgroup v2 no group but
+/// the root can be given any.
 fn throttled_group() -> &'static str {
     let none = |path: &str| fs::read_to_string(path).is_ok_and(|us| us.trim() == "0");
+    let release = fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
+    let config = fs::read_to_string(format!("/boot/config-{}", release.trim()));
+    let shares = || config.is_ok_and(|config| config.contains("CONFIG_RT_GROUP_SCHED=y"));
     if none("/sys/fs/cgroup/cpu/user.slice/cpu.rt_runtime_us") {
         "; the control group has no real-time: `echo 950000 | sudo tee /sys/fs/cgroup/cpu/user.slice/cpu.rt_runtime_us`"
+    } else if Path::new(GROUPS).join("cgroup.controllers").exists() && shares() {
+        "; this kernel (CONFIG_RT_GROUP_SCHED) may refuse it to all but the root control group: `echo $$ | sudo tee /sys/fs/cgroup/cgroup.procs` \
+         in the shell that starts the run"
     } else {
         ""
     }
@@ -219,4 +255,26 @@ fn lateness() -> Histogram {
         late.record(wake.late_ns() + wake.skipped * hal::TICK_NS);
     }
     late
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn least_quota_above_a_group_counts() {
+        let root = std::env::temp_dir().join(format!("trocar-groups-{}", std::process::id()));
+        let inner = root.join("user.slice/session");
+        fs::create_dir_all(&inner).unwrap();
+        let found = || quota(&root, "/user.slice/session");
+        assert_eq!(found(), None);
+        fs::write(inner.join("cpu.max"), "max 100000\n").unwrap();
+        assert_eq!(found(), None);
+        let above = root.join("user.slice/cpu.max");
+        fs::write(&above, "150000 100000\n").unwrap();
+        assert_eq!(found(), Some((1.5, above.clone())));
+        fs::write(inner.join("cpu.max"), "400000 100000\n").unwrap();
+        assert_eq!(found(), Some((1.5, above)));
+        fs::remove_dir_all(&root).unwrap();
+    }
 }

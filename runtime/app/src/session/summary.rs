@@ -25,6 +25,26 @@ pub struct PercentilesUs {
     pub max: f64,
 }
 
+/// Durations in buckets, in ascending order; those that hold none are left out.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct BucketsUs {
+    /// The longest duration that each bucket counts, µs; it begins at most 3.2 % below.
+    pub ends_us: Vec<f64>,
+    /// How many each holds.
+    pub counts: Vec<u64>,
+}
+
+/// All durations of a loop in real time.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct LoopHistograms {
+    /// Compute time of the controller a tick.
+    pub tick: BucketsUs,
+    /// How late the control thread woke.
+    pub wake: BucketsUs,
+    /// From one wake-up to the next.
+    pub period: BucketsUs,
+}
+
 /// Median and 99th percentile, ms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct LatencyMs {
@@ -83,6 +103,8 @@ pub struct RealTimeCounts {
     pub wake_us: PercentilesUs,
     /// From one wake-up to the next.
     pub period_us: PercentilesUs,
+    /// Of these and of the ticks' compute time, every duration.
+    pub histograms: LoopHistograms,
     /// What befell the control thread, and what it was granted.
     pub thread: ThreadCounts,
     /// Log records dropped.

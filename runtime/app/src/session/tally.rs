@@ -6,7 +6,7 @@ use super::Plan;
 use super::ended::Ended;
 use super::plan::Arms;
 use super::summary::{
-    LatencyMs, PercentilesUs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary,
+    BucketsUs, LatencyMs, PercentilesUs, PolicyCounts, QpCounts, RealTimeCounts, RunSummary,
 };
 use crate::histogram::Histogram;
 use hal::PerArm;
@@ -135,9 +135,12 @@ impl Tally {
         &self,
         plan: &Plan<S>,
         ended: &Ended,
-        real_time: Option<RealTimeCounts>,
+        mut real_time: Option<RealTimeCounts>,
     ) -> RunSummary {
         let (robot, task) = (plan.setup.robot(), plan.setup.task());
+        if let Some(counts) = &mut real_time {
+            counts.histograms.tick = BucketsUs::of(&self.compute);
+        }
         let skipped = real_time.as_ref().map_or(0, |counts| counts.overruns);
         RunSummary {
             task: task.map_or_else(String::new, |setup| setup.task_name.clone()),
@@ -178,6 +181,17 @@ impl PercentilesUs {
             p99: scaled(histogram.percentile(0.99), 1e-3),
             max: scaled(histogram.max(), 1e-3),
         }
+    }
+}
+
+impl BucketsUs {
+    /// The buckets of `histogram`, which holds ns.
+    pub(super) fn of(histogram: &Histogram) -> Self {
+        let buckets = histogram.buckets();
+        let (ends_us, counts) = buckets
+            .map(|(end_ns, count)| (scaled(end_ns, 1e-3), count))
+            .unzip();
+        Self { ends_us, counts }
     }
 }
 

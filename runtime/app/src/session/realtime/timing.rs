@@ -7,7 +7,9 @@ use crate::rt::{
     self, Held, RtOptions, RtReport, ThreadFaults, configure_thread, thread_allocations,
     thread_faults,
 };
-use crate::session::summary::{PercentilesUs, RealTimeCounts, ThreadCounts};
+use crate::session::summary::{
+    BucketsUs, LoopHistograms, PercentilesUs, RealTimeCounts, ThreadCounts,
+};
 
 /// Parts of the second in which overruns are counted.
 const PARTS: usize = 20;
@@ -99,13 +101,18 @@ impl LoopTiming {
         self.skipped
     }
 
-    /// The counts; `log_dropped` is 0, since only the log knows it.
+    /// The counts; `log_dropped` is 0, since only the log knows it, and of the ticks' compute time there is no histogram yet.
     pub(super) fn end(self) -> RealTimeCounts {
         let allocations = thread_allocations().wrapping_sub(self.allocations);
         RealTimeCounts {
             overruns: self.skipped,
             wake_us: PercentilesUs::of(&self.wakes),
             period_us: PercentilesUs::of(&self.periods),
+            histograms: LoopHistograms {
+                tick: BucketsUs::default(),
+                wake: BucketsUs::of(&self.wakes),
+                period: BucketsUs::of(&self.periods),
+            },
             thread: ThreadCounts {
                 allocations,
                 faults: thread_faults().since(&self.faults),
