@@ -228,7 +228,7 @@ fn too_large_and_too_many_messages_end_a_page() {
         }
     }
     assert!(matches!(code, Some(1008 | 1006)), "{code:?}");
-    let pages: Vec<Page> = (0..16).map(|_| Page::open(&served)).collect();
+    let pages: Vec<Page> = (0..64).map(|_| Page::open(&served)).collect();
     let mut one_more = Page::open(&served);
     assert!(matches!(one_more.hear(), PageEvent::Closed(1013)));
     drop(pages);

@@ -15,10 +15,11 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{sleep, timeout};
 use tokio_rustls::server::TlsStream;
 
+use super::seats::PAGES_MAX;
 use super::tls::Tls;
 
-/// Connections at a time: several for each page.
-const CONNECTIONS_MAX: usize = 64;
+/// Connections at a time: every page keeps one, and takes several while it loads.
+const CONNECTIONS_MAX: usize = 2 * PAGES_MAX;
 
 /// Time from the connection to the end of the TLS handshake.
 const HANDSHAKE: Duration = Duration::from_secs(5);

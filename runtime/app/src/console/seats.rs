@@ -7,8 +7,8 @@ use tokio::sync::watch;
 
 use super::pictures::{Board, Stream};
 
-/// Pages at a time.
-pub(super) const PAGES_MAX: usize = 16;
+/// Pages and viewers at a time. Each takes a connection, some buffers, and its part of the server's one thread, at normal priority.
+pub(super) const PAGES_MAX: usize = 64;
 
 /// What pages are told of each other.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
