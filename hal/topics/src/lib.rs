@@ -12,6 +12,7 @@ mod port;
 mod scene;
 mod shm;
 mod snapshot;
+mod task;
 #[cfg(test)]
 mod tests;
 mod unfinished;
@@ -31,6 +32,7 @@ pub use shm::{SHARED_MEMORY_DIR, SharedMemorySpace, shared_memory_space};
 pub use snapshot::{
     CamerasStatus, FLAP_NODES_MAX, Flap, InstrumentParts, SCENE_THINGS_MAX, SnapshotReport,
 };
+pub use task::{CRITERIA_MAX, CriterionReport, TaskReport};
 
 /// Chunks, from the policy process to the control process; one topic an arm.
 pub type ChunkTopic = Topic<hal::Chunk>;
@@ -50,8 +52,11 @@ pub type RunControlTopic = Topic<RunControl>;
 /// The true state of a world in another process; one topic a world, under the first of its arms.
 pub type SceneTopic = Topic<SceneReport>;
 
-/// Where everything in a simulated scene is, from the control process to whoever draws it; one topic a run, under the first of its arms, and one
-/// under `console` for what only pages look at.
+/// How the task of a world in another process stands; one topic a world, under the first of its arms.
+pub type TaskTopic = Topic<TaskReport>;
+
+/// Where everything in a simulated scene is, from whoever simulates it to whoever draws or shows it; one topic a run, under the first of its arms,
+/// and one under `console` for what only pages look at.
 pub type SnapshotTopic = Topic<SnapshotReport>;
 
 /// How the process that draws is doing; one topic a run, under the first of its arms.

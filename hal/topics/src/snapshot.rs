@@ -1,7 +1,7 @@
 //! Where everything in a simulated scene is at one instant, for whoever draws it: Trocar's cameras or anyone's.
 //!
-//! A run publishes a snapshot at each policy step that frames are wanted of, under the name of its first arm. A camera draws it and publishes
-//! a frame with the snapshot's own stamp and number, which go with the arms' reports of that instant.
+//! A run publishes a snapshot at each policy step that frames are wanted of, under the name of its first arm; a world in another process at each
+//! policy step. A camera draws it and publishes a frame with the snapshot's own stamp and number, which go with the arms' reports of that instant.
 
 use iceoryx2::prelude::ZeroCopySend;
 

@@ -3,23 +3,22 @@
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::TaskState;
 use super::facts::Facts;
 use super::path::paths;
 use super::pictures::Board;
-use super::state::{BusState, State};
+use super::state::{BusState, State, task_record};
 use super::tap::Sample;
 use super::viewers::Message;
 use crate::mailbox::MailboxReader;
 use crate::rig::can_traffic::Buses;
 use crate::rt::MonotonicClock;
 use crate::session::operator::{Command, exchange};
-use crate::session::scene_record;
 use crate::session::teleop::Hands;
 use hal::{Chunk, PerArm, TimeNs};
 use rtrb::Consumer;
 use trocar_log::TickRecord;
 use trocar_log::live::{self, StateChanges};
+use trocar_topics::TaskReport;
 
 /// The reading ends of a run.
 #[derive(Debug)]
@@ -39,7 +38,7 @@ pub(super) struct Live {
 #[derive(Debug)]
 pub(super) struct RunMailboxes {
     pub(super) samples: MailboxReader<Sample>,
-    pub(super) task: MailboxReader<TaskState>,
+    pub(super) task: MailboxReader<TaskReport>,
     pub(super) chunks: MailboxReader<PerArm<Chunk>>,
     /// Ticks in which something happened.
     pub(super) noted: Consumer<TickRecord>,
@@ -50,7 +49,7 @@ struct Newest {
     said: RunMailboxes,
     newest: Option<(Sample, TimeNs)>,
     chunks: Option<PerArm<Chunk>>,
-    task: Option<TaskState>,
+    task: Option<TaskReport>,
     happened: StateChanges,
     /// When the tick was that viewers were told of last.
     previous: TimeNs,
@@ -135,7 +134,7 @@ impl Live {
         samples.chunks = samples.said.chunks.take().or(samples.chunks);
         let (sample, since) = samples.newest.as_ref()?;
         let silent_s = TimeNs(now.since(*since)).seconds();
-        let task = samples.task.as_ref().map(scene_record::task);
+        let task = samples.task.as_ref().map(task_record);
         let state = State::new(sample, &self.facts, silent_s, task);
         let paths = samples.chunks.as_ref().map(|chunks| {
             let bases = &self.facts.rcms_in_scene;

@@ -222,8 +222,8 @@ fn task(header: &RunHeader, text: &str) -> Result<TaskConfig, String> {
 mod tests {
     use trocar_tasks::simulation::{Rendering, Simulation};
 
-    use super::super::TaskState;
     use super::*;
+    use crate::session::TaskState;
     use crate::session::{PolicyChoice, Setup};
 
     const SEED: u64 = 5;

@@ -53,8 +53,7 @@ use trocar_control::config::ArmConfig;
 use trocar_log::{Level, live as log_form, pre_faulted_queue};
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
-use trocar_tasks::simulation::Simulation;
-use trocar_tasks::task::Criteria;
+use trocar_topics::TaskReport;
 
 pub use address::{Address, BadAddress, DEFAULT_ADDRESS, FOXGLOVE_ADDRESS};
 pub use doors::ListenAddresses;
@@ -91,32 +90,13 @@ pub struct Console {
     threads: Arc<Mutex<Vec<JoinHandle<()>>>>,
 }
 
-/// How a task stands. Plain data.
-#[derive(Clone, Copy, Debug)]
-pub struct TaskState {
-    /// What has not happened as long as there is no success, in words.
-    pub missing: &'static str,
-    /// What has to be so for success.
-    pub criteria: Criteria,
-}
-
-impl TaskState {
-    /// That of a simulated task.
-    pub(crate) fn of(simulation: &Simulation) -> Self {
-        Self {
-            missing: simulation.missing(),
-            criteria: simulation.criteria(),
-        }
-    }
-}
-
 /// The ends of a run that say what it does.
 #[derive(Debug)]
 pub struct RunTaps {
     /// For the control thread.
     pub control: ControlTap,
     /// For whoever knows how the task stands.
-    pub task: MailboxWriter<TaskState>,
+    pub task: MailboxWriter<TaskReport>,
     /// For whoever asks what the run does.
     pub(crate) view: RunView,
 }

@@ -182,11 +182,6 @@ impl ControlTap {
     /// A tick is over, and so many periods have been skipped since the run began.
     pub fn tick(&mut self, record: &TickRecord, controller: &AnyController, skipped: u64) {
         self.note_rows(record, controller);
-        self.tick_alone(record, skipped);
-    }
-
-    /// The same where the controller is not at hand to say which rows were active.
-    pub(crate) fn tick_alone(&mut self, record: &TickRecord, skipped: u64) {
         self.count(record, skipped);
         self.tell_commanded(record);
         let states = states(record);

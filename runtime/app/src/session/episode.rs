@@ -11,7 +11,7 @@ use super::latency::{Deliveries, Latency};
 use super::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
 use super::summary::TissueSummary;
 use super::tally::Tally;
-use crate::console::TaskState;
+use super::world_report::TaskState;
 use crate::rig::{self, lockstep::LockstepRig};
 use crate::rt::MonotonicClock;
 use trocar_control::{AnyController, OperatorEvent};
@@ -66,6 +66,12 @@ pub trait EpisodeObserver {
     /// A control period.
     fn tick(&mut self, record: &TickRecord) {
         let _unwatched = record;
+    }
+
+    /// The same for whoever looks into the `controller` after it. This is what an episode calls; unless overridden it calls [`Self::tick`].
+    fn tick_of(&mut self, record: &TickRecord, controller: &AnyController) {
+        let _unwatched = controller;
+        self.tick(record);
     }
 
     /// Whether the episode is to be abandoned; asked before every policy step.
@@ -183,7 +189,7 @@ impl Episode<'_> {
                 watcher.chunk(arm, chunk);
             }
             tally.tick(&record);
-            watcher.tick(&record);
+            watcher.tick_of(&record, running.controller);
             let outcome = running.rig.simulation.outcome();
             if !matches!(outcome, Outcome::Running) {
                 return Ok(running.end(outcome, tally));

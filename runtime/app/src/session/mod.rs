@@ -73,3 +73,4 @@ pub use plan::Plan;
 pub use policy_choice::PolicyChoice;
 pub use robot::Robot;
 pub use setup::Setup;
+pub use world_report::TaskState;

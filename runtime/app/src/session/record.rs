@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use hal::{ArmObservation, CameraFrame, TipTarget};
 use serde::Serialize;
+use trocar_control::AnyController;
 use trocar_data::dataset::{ArmFrame, CameraSpec, DatasetError, DatasetSpec, Totals, VideoCodec};
 use trocar_data::perception::depth_units;
 use trocar_log::TickRecord;
@@ -462,9 +463,9 @@ impl EpisodeObserver for Diary<'_> {
         self.cameras.clone()
     }
 
-    fn tick(&mut self, record: &TickRecord) {
+    fn tick_of(&mut self, record: &TickRecord, controller: &AnyController) {
         if let Some(shown) = &mut self.shown {
-            shown.tick(record);
+            shown.tick(record, controller);
         }
     }
 

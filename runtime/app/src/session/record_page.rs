@@ -5,16 +5,20 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use serde::Serialize;
+use trocar_control::AnyController;
 use trocar_log::TickRecord;
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::TaskConfig;
+use trocar_topics::TaskReport;
 
 use super::episode::StepView;
 use super::record::Attempt;
+use super::source::STEP_NS;
 use super::views::show_frame;
 use super::{Plan, SessionError};
 use crate::console::{Console, ControlTap, Facts, FrameTap, SceneTap};
+use crate::mailbox::MailboxWriter;
 
 /// Attempts that a page has.
 const ATTEMPTS_MAX: usize = 20;
@@ -98,6 +102,7 @@ impl<'a> RecordPage<'a> {
         Ok(Some(EpisodePage {
             of: &self.taken,
             control: taps.control,
+            task: taps.task,
             frames: console.frames(),
             scene,
         }))
@@ -108,6 +113,7 @@ impl<'a> RecordPage<'a> {
 pub(super) struct EpisodePage<'a> {
     of: &'a AtomicBool,
     control: ControlTap,
+    task: MailboxWriter<TaskReport>,
     frames: FrameTap,
     scene: SceneTap,
 }
@@ -123,6 +129,7 @@ impl EpisodePage<'_> {
             show_frame(&self.frames, camera, stamp, frame);
         }
         self.scene.show(view.snapshot, stamp)?;
+        self.task.put(view.task.report(stamp, stamp.0 / STEP_NS));
         if let Some(chunks) = view.answer {
             self.control.chunk(chunks, 0);
         }
@@ -130,8 +137,8 @@ impl EpisodePage<'_> {
     }
 
     /// A control period.
-    pub(super) fn tick(&mut self, record: &TickRecord) {
-        self.control.tick_alone(record, 0);
+    pub(super) fn tick(&mut self, record: &TickRecord, controller: &AnyController) {
+        self.control.tick(record, controller, 0);
     }
 }
 

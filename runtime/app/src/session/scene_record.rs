@@ -8,7 +8,7 @@ use trocar_world::ArmBodies;
 use trocar_world::tissue::FlapSnapshot;
 
 use super::episode::StepView;
-use crate::console::TaskState;
+use super::world_report::TaskState;
 
 /// Writes the scene of a policy step into a log.
 pub(super) fn keep(recorder: &mut Recorder, view: &StepView<'_>) {
@@ -40,8 +40,8 @@ pub(crate) fn record(scene: &SceneSnapshot, stands: &TaskState) -> SceneRecord {
     }
 }
 
-/// How a task stands, in a log and for pages.
-pub(crate) fn task(stands: &TaskState) -> TaskRecord {
+/// How a task stands, in a log.
+fn task(stands: &TaskState) -> TaskRecord {
     let criterion = |it: &Criterion| CriterionRecord {
         name: it.name.to_owned(),
         unit: it.unit.to_owned(),

@@ -332,13 +332,8 @@ impl<'a> ArmsThread<'a> {
         self.shown.put(Shown {
             stamp,
             sequence,
-            world: WorldState {
-                scene: simulation.scene_state(),
-                // Whoever sends set-points leads these arms: there is nothing to wait for.
-                operational: true,
-                outcome: begun.then(|| simulation.outcome()),
-                tissue: simulation.tissue_extremes(),
-            },
+            // Whoever sends set-points leads these arms: there is nothing to wait for.
+            world: WorldState::of(simulation, true, begun),
             snapshot: simulation.snapshot(),
         });
     }

@@ -2,12 +2,17 @@
 
 use hal::TimeNs;
 use trocar_tasks::scene::{ArmScene, SceneState};
-use trocar_tasks::task::Outcome;
-use trocar_topics::{Line, PoseMessage, SceneArm, SceneReport, SceneTissue, Verdict};
+use trocar_tasks::simulation::Simulation;
+use trocar_tasks::task::{Criteria, Criterion, Outcome};
+use trocar_topics::{
+    CriterionReport, Line, PoseMessage, SceneArm, SceneReport, SceneTissue, TaskReport, Verdict,
+};
 use trocar_world::Grasp;
 use trocar_world::tissue::TissueExtremes;
 
 use super::summary::TissueSummary;
+
+const _: () = assert!(trocar_tasks::task::CRITERIA_MAX == trocar_topics::CRITERIA_MAX);
 
 /// What a world knows of itself at one instant.
 #[derive(Clone, Copy, Debug)]
@@ -20,6 +25,67 @@ pub(super) struct WorldState {
     pub(super) outcome: Option<Outcome>,
     /// What a soft tissue went through, if there is one.
     pub(super) tissue: Option<TissueExtremes>,
+    /// How the task stands.
+    pub(super) task: TaskState,
+}
+
+impl WorldState {
+    /// That of `simulation`, whose drives are `operational` or not, in an episode that has `begun` or not.
+    pub(super) fn of(simulation: &Simulation, operational: bool, begun: bool) -> Self {
+        Self {
+            scene: simulation.scene_state(),
+            operational,
+            outcome: begun.then(|| simulation.outcome()),
+            tissue: simulation.tissue_extremes(),
+            task: TaskState::of(simulation),
+        }
+    }
+}
+
+/// How a task stands.
+#[derive(Clone, Copy, Debug)]
+pub struct TaskState {
+    /// What has not happened as long as there is no success, in words.
+    pub missing: &'static str,
+    /// What has to be so for success.
+    pub criteria: Criteria,
+}
+
+impl TaskState {
+    /// That of `simulation`.
+    #[must_use]
+    pub fn of(simulation: &Simulation) -> Self {
+        Self {
+            missing: simulation.missing(),
+            criteria: simulation.criteria(),
+        }
+    }
+
+    /// The same as whoever looks on is told, of the instant `stamp` and the policy step `sequence`.
+    pub(super) fn report(&self, stamp: TimeNs, sequence: u64) -> TaskReport {
+        let mut report = TaskReport {
+            stamp,
+            sequence,
+            missing: Line::new(self.missing),
+            ..TaskReport::default()
+        };
+        for (told, criterion) in report.criteria.iter_mut().zip(self.criteria.iter()) {
+            *told = told_of(criterion);
+            report.criterion_count += 1;
+        }
+        report
+    }
+}
+
+fn told_of(criterion: &Criterion) -> CriterionReport {
+    CriterionReport {
+        name: Line::new(criterion.name),
+        unit: Line::new(criterion.unit),
+        value: criterion.value,
+        goal: criterion.goal,
+        at_least: u64::from(criterion.at_least),
+        met: u64::from(criterion.met),
+    }
 }
 
 /// Which world it is.
@@ -127,7 +193,7 @@ pub(super) fn tissue(report: &SceneReport) -> Option<TissueSummary> {
 
 #[cfg(test)]
 mod tests {
-    use trocar_tasks::simulation::{Rendering, Simulation};
+    use trocar_tasks::simulation::Rendering;
     use trocar_tasks::task::TaskConfig;
 
     use super::*;
@@ -137,12 +203,7 @@ mod tests {
         for name in TaskConfig::names() {
             let task = TaskConfig::built_in(name).unwrap();
             let simulation = Simulation::new(&task, 5, Rendering::Off).unwrap();
-            let state = WorldState {
-                scene: simulation.scene_state(),
-                operational: true,
-                outcome: Some(simulation.outcome()),
-                tissue: simulation.tissue_extremes(),
-            };
+            let state = WorldState::of(&simulation, true, true);
             let world = WorldName {
                 task: name.to_owned(),
                 scene_hash: 9,
@@ -156,19 +217,35 @@ mod tests {
             assert_eq!((told.task.text().as_str(), told.seed), (name, 5));
             assert_eq!(told.verdict(), Verdict::Running);
             assert_eq!(tissue(&told).is_some(), task.kind == "tissue-retraction");
-            let waiting = WorldState {
-                outcome: None,
-                ..state
-            };
             let waits = |operational| {
-                let waiting = WorldState {
-                    operational,
-                    ..waiting
-                };
+                let waiting = WorldState::of(&simulation, operational, false);
                 report(TimeNs(7), 3, &world, &waiting).verdict()
             };
             assert_eq!(waits(false), Verdict::Waiting);
             assert_eq!(waits(true), Verdict::Operational);
+        }
+    }
+
+    /// Whoever looks on is told of every criterion what the judge says of it.
+    #[test]
+    fn all_criteria_are_told() {
+        for name in TaskConfig::names() {
+            let task = TaskConfig::built_in(name).unwrap();
+            let simulation = Simulation::new(&task, 5, Rendering::Off).unwrap();
+            let state = TaskState::of(&simulation);
+            let told = state.report(TimeNs(7), 3);
+            assert_eq!((told.stamp, told.sequence), (TimeNs(7), 3));
+            assert_eq!(told.missing.text(), state.missing);
+            assert_eq!(told.criteria().len(), state.criteria.iter().count());
+            assert!(!told.criteria().is_empty(), "{name}");
+            for (told, criterion) in told.criteria().iter().zip(state.criteria.iter()) {
+                assert_eq!(told.name.text(), criterion.name);
+                assert_eq!(told.unit.text(), criterion.unit);
+                assert_eq!(told.value.to_bits(), criterion.value.to_bits());
+                assert_eq!(told.goal.to_bits(), criterion.goal.to_bits());
+                let flags = (told.at_least == 1, told.met == 1);
+                assert_eq!(flags, (criterion.at_least, criterion.met));
+            }
         }
     }
 }

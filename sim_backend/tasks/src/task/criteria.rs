@@ -1,7 +1,7 @@
 //! What a task's judge looks for, in numbers: a table without memory of its own, for those who look on.
 
 /// Criteria of a task at most.
-const CRITERIA_MAX: usize = 8;
+pub const CRITERIA_MAX: usize = 8;
 
 /// One thing that has to be so for success.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -36,7 +36,7 @@ use trocar_world::tissue::TissueConfig;
 use trocar_world::{ArmStart, Scenery, WorldConfig};
 
 pub use camera::{Calibration, CameraConfig, ENDOSCOPE, Mount, SIDE};
-pub use criteria::{Criteria, Criterion};
+pub use criteria::{CRITERIA_MAX, Criteria, Criterion};
 pub use files::{SAFETY_FILE, SCENE_FILE, TaskError, TaskFiles};
 pub(crate) use judge::{Judge, Monitor, MonitorInput};
 pub use judge::{Outcome, Reason};

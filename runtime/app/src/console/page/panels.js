@@ -200,8 +200,7 @@ export class Panels {
     this.safety.set("Guard interventions", guard, counts.guard ? "warn" : "good");
     this.safety.set("Chunks refused by the gate", count(counts.refused), counts.refused ? "warn" : "good");
     this.safety.set("Last refusal", counts.last_refused ?? "none");
-    const none = this.#facts.subject === "recording" ? "not told by a recording" : "none yet";
-    const rows = filter.ago_s === null ? [none] : filter.rows.map((row) => `${row}`);
+    const rows = filter.ago_s === null ? ["none yet"] : filter.rows.map((row) => `${row}`);
     if (filter.more > 0) rows.push(`and ${filter.more} more`);
     if (filter.ago_s !== null) rows.unshift(ago(filter.ago_s));
     const key = rows.join("\n");

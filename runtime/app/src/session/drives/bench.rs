@@ -205,12 +205,8 @@ impl Bench {
             let state = network.node(axis.node).map(Node::nmt_state);
             state == Some(NmtState::Operational)
         });
-        Some(WorldState {
-            scene: simulation.scene_state(),
-            operational,
-            outcome: self.begun.map(|_| simulation.outcome()),
-            tissue: simulation.tissue_extremes(),
-        })
+        let begun = self.begun.is_some();
+        Some(WorldState::of(simulation, operational, begun))
     }
 
     fn inject(

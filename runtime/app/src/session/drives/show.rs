@@ -1,10 +1,13 @@
-//! What a world shows to other processes: its scene and the verdict, and what its cameras see.
+//! What a world shows to other processes: its scene, how the task stands and the verdict, and what its cameras see.
 
 use hal::ARM_NAMES;
 use trocar_tasks::cameras::{SceneCameras, SceneModel};
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::Outcome;
-use trocar_topics::{Publisher, SceneReport, SceneTopic, TopicError, TopicNode};
+use trocar_topics::{
+    Publisher, SceneReport, SceneTopic, SnapshotReport, SnapshotTopic, TaskReport, TaskTopic,
+    TopicError, TopicNode,
+};
 
 use super::bus_thread::Shown;
 use crate::console::Console;
@@ -12,7 +15,7 @@ use crate::mailbox::MailboxReader;
 use crate::session::published::Published;
 use crate::session::views::Views;
 use crate::session::world_report::{WorldName, report};
-use crate::session::{Plan, SessionError};
+use crate::session::{Plan, SessionError, snapshot_report};
 
 /// Where a world shows itself.
 pub(in crate::session) struct ShowOptions<'a> {
@@ -30,6 +33,9 @@ pub(in crate::session) struct Show {
     _node: TopicNode,
     world: WorldName,
     scene: Publisher<SceneReport>,
+    /// For whoever draws it, or shows it on pages.
+    snapshots: Publisher<SnapshotReport>,
+    task: Publisher<TaskReport>,
     cameras: Option<SceneCameras>,
     /// Cameras that are published.
     views: Vec<Published>,
@@ -59,6 +65,8 @@ impl Show {
             }
             SessionError::Topic(error)
         })?;
+        let snapshots = SnapshotTopic::publisher(&node, ARM_NAMES[0])?;
+        let task = TaskTopic::publisher(&node, ARM_NAMES[0])?;
         let mut cameras = None;
         let mut views = Vec::new();
         let page = show_scene(plan, options, start)?;
@@ -79,6 +87,8 @@ impl Show {
             _node: node,
             world: plan.world_name(),
             scene,
+            snapshots,
+            task,
             cameras,
             views,
             shown,
@@ -94,14 +104,21 @@ impl Show {
     ) -> Result<(), SessionError> {
         let Some(shown) = self.shown.take() else {
             self.scene.keep_alive()?;
+            self.snapshots.keep_alive()?;
+            self.task.keep_alive()?;
             for view in &self.views {
                 view.keep_alive()?;
             }
             self.draw_for_page(say);
             return Ok(());
         };
-        let report_now = report(shown.stamp, shown.sequence, &self.world, &shown.world);
+        let (stamp, sequence) = (shown.stamp, shown.sequence);
+        let report_now = report(stamp, sequence, &self.world, &shown.world);
         self.scene.publish(&report_now)?;
+        let snapshot = snapshot_report::report(stamp, sequence, &self.world, &shown.snapshot);
+        self.snapshots.publish(&snapshot)?;
+        self.task
+            .publish(&shown.world.task.report(stamp, sequence))?;
         self.draw(&shown)?;
         self.show_on_page(&shown, say);
         if let Some(outcome) = shown.world.outcome

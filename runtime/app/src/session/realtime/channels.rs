@@ -22,6 +22,9 @@ pub(super) type Local = Option<(ChunkSource, Producer<PerArm<Chunk>>)>;
 /// Channels between the threads.
 pub(super) struct ThreadChannels {
     pub(super) control: ControlChannels,
+    /// For the rig: what it measures, and what happened to it.
+    pub(super) measured: MailboxWriter<PerArm<ArmState>>,
+    pub(super) noticed: MailboxWriter<Noticed>,
     pub(super) seen: ObserverChannels,
     pub(super) chunk_in: Producer<PerArm<Chunk>>,
     pub(super) log: Option<LogFile>,
@@ -30,8 +33,6 @@ pub(super) struct ThreadChannels {
 
 /// The control thread's ends.
 pub(super) struct ControlChannels {
-    pub(super) measured: MailboxWriter<PerArm<ArmState>>,
-    pub(super) noticed: MailboxWriter<Noticed>,
     pub(super) chunks: Consumer<PerArm<Chunk>>,
     pub(super) log: Option<TickLog>,
     pub(super) signals: Arc<Signals>,
@@ -57,10 +58,14 @@ impl ObserverChannels {
 }
 
 impl ThreadChannels {
+    /// Those of a run by `clock`, by which its pictures have their time on the console.
     pub(super) fn new(
         (recorder, console): (Option<Recorder>, Option<&Console>),
         clock: MonotonicClock,
     ) -> Self {
+        if let Some(console) = console {
+            console.follow(clock);
+        }
         let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
         let (measured_in, measured) = mailbox();
         let (noticed_in, noticed) = mailbox();
@@ -70,14 +75,14 @@ impl ThreadChannels {
         let (tick_log, side_log, _, log) = split(recorder);
         Self {
             control: ControlChannels {
-                measured: measured_in,
-                noticed: noticed_in,
                 chunks,
                 log: tick_log,
                 signals: Arc::clone(&signals),
                 operator,
                 clock,
             },
+            measured: measured_in,
+            noticed: noticed_in,
             seen: ObserverChannels {
                 measured,
                 news: CanEventLog::new(noticed),

@@ -3,9 +3,11 @@
 use std::sync::Arc;
 
 use hal::{Chunk, Measured, PerArm, Period, Rig, Setpoint};
+use rtrb::Consumer;
 use trocar_control::{AnyController, OperatorEvent};
 use trocar_log::{TickLog, TickRecord};
 
+use super::channels::ControlChannels;
 use super::drivers::Drivers;
 use super::hold::Hold;
 use super::signals::{Signals, StopsAll};
@@ -13,8 +15,11 @@ use super::timing::LoopTiming;
 use crate::rig;
 use crate::rt::{Held, MonotonicClock, RtOptions};
 use crate::session::operator::OperatorPort;
+use crate::session::plan::Arms;
 use crate::session::summary::RealTimeCounts;
 use crate::session::tally::Tally;
+use crate::session::teleop::TeleopCommand;
+use crate::session::{Plan, SessionError};
 
 /// Periods that the arms get to come to rest after the verdict: more than twice the longest stop.
 const REST_TICKS: u64 = 500;
@@ -22,22 +27,22 @@ const REST_TICKS: u64 = 500;
 /// Of these, the last ones are for their drives to lose torque.
 const RELEASE_TICKS: u64 = 10;
 
-/// The control thread before it runs.
-pub(super) struct ControlThread<R> {
-    pub(super) controller: AnyController,
-    pub(super) rig: R,
-    pub(super) drivers: Drivers,
-    pub(super) log: Option<TickLog>,
-    pub(super) signals: Arc<Signals>,
-    pub(super) operator: OperatorPort,
+/// The control thread before it runs, without its rig.
+pub(super) struct ControlThread {
+    controller: AnyController,
+    drivers: Drivers,
+    log: Option<TickLog>,
+    signals: Arc<Signals>,
+    operator: OperatorPort,
+    clock: MonotonicClock,
     /// What the thread asks of the system; of strict wishes [`RtProfile::check`](crate::rt::RtProfile::check) knows before there is a run.
-    pub(super) profile: RtOptions,
+    profile: RtOptions,
     /// What the process holds of the system, as long as the thread lives.
-    pub(super) held: Held,
+    held: Held,
     /// How many periods it may skip within a second.
-    pub(super) overruns_max: Option<u64>,
+    overruns_max: Option<u64>,
     /// Whether the run ends with a fault; else the arms hold until the operator clears it.
-    pub(super) fault_ends_run: bool,
+    fault_ends_run: bool,
 }
 
 /// What it leaves behind.
@@ -67,9 +72,47 @@ impl<R> ControlEnd<R> {
     }
 }
 
-impl<R: Rig> ControlThread<R> {
-    /// Runs until the arms rest without torque after the verdict, or after a fault of any that ends the run.
-    pub(super) fn run(mut self, clock: MonotonicClock) -> ControlEnd<R> {
+impl ControlThread {
+    /// That of a run of `plan`, with these `channels`; `hands` may take over from the policy.
+    pub(super) fn new<S: Arms>(
+        plan: &Plan<S>,
+        channels: ControlChannels,
+        hands: Option<Consumer<TeleopCommand>>,
+    ) -> Result<Self, SessionError> {
+        let ControlChannels {
+            chunks,
+            log,
+            signals,
+            operator,
+            clock,
+        } = channels;
+        let robot = plan.setup.robot();
+        Ok(Self {
+            controller: robot.controller()?,
+            drivers: Drivers::new(chunks, hands),
+            log,
+            signals,
+            operator,
+            clock,
+            profile: plan.real_time.control,
+            held: plan.real_time.hold()?,
+            overruns_max: plan.real_time.overruns_per_s_max,
+            fault_ends_run: robot.control.fault_ends_run,
+        })
+    }
+
+    /// What it shares with the other threads.
+    pub(super) const fn signals(&self) -> &Arc<Signals> {
+        &self.signals
+    }
+
+    /// What it asks of the system.
+    pub(super) const fn profile(&self) -> &RtOptions {
+        &self.profile
+    }
+
+    /// Runs with `rig` until the arms rest without torque after the verdict, or after a fault of any that ends the run.
+    pub(super) fn run<R: Rig>(mut self, mut rig: R) -> ControlEnd<R> {
         let signals = Arc::clone(&self.signals);
         let _stops = StopsAll(&signals);
         let mut tally = Tally::default();
@@ -78,7 +121,7 @@ impl<R: Rig> ControlThread<R> {
         let mut setpoints = None;
         let mut timing = LoopTiming::begin(&self.profile, &self.held, self.overruns_max);
         while rest_ticks < REST_TICKS {
-            let period = self.rig.exchange(setpoints.take().as_ref());
+            let period = rig.exchange(setpoints.take().as_ref());
             if let Some(skipped) = timing.woke(&period) {
                 signals.overran(skipped);
             }
@@ -93,7 +136,7 @@ impl<R: Rig> ControlThread<R> {
                 (_, true) => hold.end(REST_TICKS - rest_ticks <= RELEASE_TICKS),
                 (_, false) => hold.next(signals.held(), || self.operator.next()),
             };
-            let ticked = self.tick(&period, measured, operator, &mut tally, clock);
+            let ticked = self.tick(&period, measured, operator, &mut tally);
             let Some((record, answer)) = ticked else {
                 break;
             };
@@ -113,11 +156,11 @@ impl<R: Rig> ControlThread<R> {
         }
         let counts = timing.end();
         // The arms hear of every command that the log has.
-        self.rig.exchange(setpoints.as_ref());
+        rig.exchange(setpoints.as_ref());
         tally.measured(&self.controller);
         let log_dropped = self.log.as_ref().map_or(0, TickLog::dropped);
         ControlEnd {
-            rig: self.rig,
+            rig,
             tally,
             counts,
             log_dropped,
@@ -132,7 +175,6 @@ impl<R: Rig> ControlThread<R> {
         measured: PerArm<Measured>,
         operator: Option<OperatorEvent>,
         tally: &mut Tally,
-        clock: MonotonicClock,
     ) -> Option<(TickRecord, PerArm<Setpoint>)> {
         let waits = |chunks: &PerArm<Chunk>| is_ahead(&chunks.first, period);
         let (chunks, change) = self.drivers.next(waits, operator.is_none());
@@ -157,7 +199,7 @@ impl<R: Rig> ControlThread<R> {
             measured,
             chunks.as_ref(),
             operator,
-            clock,
+            self.clock,
         )
     }
 }

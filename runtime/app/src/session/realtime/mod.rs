@@ -78,9 +78,9 @@ use crate::mailbox::mailbox;
 use crate::rig::threads::ThreadsRig;
 use crate::rt::{self, MonotonicClock, Periodic};
 use cameras::Stage;
+use channels::ControlChannels;
 use child::{Outside, PolicyChild};
 use control_thread::ControlThread;
-use drivers::Drivers;
 use ended::closed;
 use frames_thread::FramesEnd;
 use hal::PerArm;
@@ -136,7 +136,6 @@ fn run_threads(
     source: Option<ChunkSource>,
     child: Option<&mut PolicyChild>,
 ) -> Result<(Ends<ThreadsRig, Simulated>, Option<LogFile>), SessionError> {
-    let controller = plan.setup.controller()?;
     let (measured_in, measured) = mailbox::<PerArm<ArmState>>();
     let (commands, commands_out) = pre_faulted_queue(COMMANDS);
     let (chunk_in, chunks) = RingBuffer::<PerArm<Chunk>>::new(CHUNK_QUEUE);
@@ -164,25 +163,21 @@ fn run_threads(
         signals: Arc::clone(&signals),
         profile: plan.real_time.simulation,
     };
-    let held = plan.real_time.hold()?;
-    let first = clock.now().plus_ns(START_NS);
-    // Half a period after the simulation, to see this period's measurement.
-    let periodic = Periodic::new(clock, first.plus_ns(TICK_NS / 2), TICK_NS);
-    let control_thread = ControlThread {
-        controller,
-        rig: ThreadsRig::new(measured, commands, periodic),
-        drivers: Drivers::new(chunks, hands),
+    let control = ControlChannels {
+        chunks,
         log: tick_log,
         signals: Arc::clone(&signals),
         operator,
-        profile: plan.real_time.control,
-        fault_ends_run: plan.setup.robot.control.fault_ends_run,
-        overruns_max: plan.real_time.overruns_per_s_max,
-        held,
+        clock,
     };
+    let control_thread = ControlThread::new(plan, control, hands)?;
+    let first = clock.now().plus_ns(START_NS);
+    // Half a period after the simulation, to see this period's measurement.
+    let periodic = Periodic::new(clock, first.plus_ns(TICK_NS / 2), TICK_NS);
+    let rig = ThreadsRig::new(measured, commands, periodic);
     let control = move || {
         let _moving = Moving;
-        Ok(control_thread.run(clock))
+        Ok(control_thread.run(rig))
     };
     let simulate = || observers.run(plan, simulation_thread, (clock, first), side_log, &signals);
     let ends = threads::run(remote, (&signals, listener.as_ref()), control, simulate);

@@ -16,6 +16,7 @@ use super::frames_thread::{FramesEnd, FramesThread};
 use super::remote_arms::{Camera, CanEventLog, arm_reports};
 use super::robot::{RobotOptions, RobotThread};
 use super::scene_topics::{SceneForPages, Snapshot};
+use super::shown::CameraPages;
 use super::signals::Signals;
 use super::simulation_thread::{ConsoleView, Shown, SimulationThread};
 use super::threads::joined;
@@ -166,11 +167,9 @@ impl Others {
         let rules = (plan.setup.robot.control.supervision, plan.warn);
         let asked = RobotOptions::default();
         let thread = RobotThread::new(seen, None, self.reports, self.cameras, (&asked, rules));
-        let thread = match &plan.console {
-            Some(console) => thread.shown_on(console.frames(), &plan.setup.camera_names()),
-            None => thread,
-        };
-        let end = thread.woken_by(self.events).run()?;
+        let pages = plan.console.as_ref();
+        let pages = pages.map(|console| CameraPages::of(console, plan.setup.camera_names()));
+        let end = thread.shown_on(pages).woken_by(self.events).run()?;
         Ok(FramesEnd {
             pictures: None,
             ended_by: end.ended_by,

@@ -3,13 +3,15 @@
 use hal::TimeNs;
 use trocar_log::Level;
 use trocar_tasks::scene::SceneSnapshot;
-use trocar_topics::{Publisher, SnapshotReport, SnapshotTopic, TopicNode};
+use trocar_topics::{
+    Publisher, SnapshotReport, SnapshotTopic, Subscriber, TaskReport, TaskTopic, TopicNode,
+};
 
 use super::cameras_process::CONSOLE;
 use super::policy_process::FIRST_ARM;
 use super::signals::Signals;
 use crate::console::{FrameTap, SceneTap};
-use crate::mailbox::MailboxReader;
+use crate::mailbox::{MailboxReader, MailboxWriter};
 use crate::rt::MonotonicClock;
 use crate::session::source::STEP_NS;
 use crate::session::world_report::WorldName;
@@ -111,8 +113,9 @@ impl SceneForPages {
             ..self
         })
     }
+}
 
-    /// Hands the newest instant on, if there is one.
+impl ForPages for SceneForPages {
     fn turn(&mut self, clock: MonotonicClock) -> Result<(), SessionError> {
         let Some(snapshot) = self.snapshots.take() else {
             return Ok(());
@@ -131,9 +134,76 @@ impl SceneForPages {
     }
 }
 
+/// What a world in another process says of itself beside the state that decides the run: where everything is, and how its task stands.
+pub(super) struct WorldTopics {
+    snapshots: Subscriber<SnapshotReport>,
+    task: Subscriber<TaskReport>,
+    /// The scene that pages are shown, if there is one.
+    scene: Option<SceneTap>,
+}
+
+impl WorldTopics {
+    pub(super) fn open(node: &TopicNode) -> Result<Self, SessionError> {
+        Ok(Self {
+            snapshots: SnapshotTopic::subscriber(node, FIRST_ARM)?,
+            task: TaskTopic::subscriber(node, FIRST_ARM)?,
+            scene: None,
+        })
+    }
+
+    /// Where everything is, if that is news.
+    pub(super) fn newest(&self) -> Result<Option<SceneSnapshot>, SessionError> {
+        let report = self.snapshots.newest()?;
+        Ok(report.map(|report| snapshot_report::scene(&report)))
+    }
+
+    /// The same with a `scene` that pages are shown.
+    pub(super) fn with_scene(self, scene: SceneTap) -> Self {
+        let scene = Some(scene);
+        Self { scene, ..self }
+    }
+
+    /// Whether pages are shown a scene.
+    pub(super) const fn has_scene(&self) -> bool {
+        self.scene.is_some()
+    }
+
+    /// The same for pages, which are told by `task` how it stands.
+    pub(super) const fn shown_on(self, task: MailboxWriter<TaskReport>) -> WorldForPages {
+        WorldForPages { from: self, task }
+    }
+}
+
+/// What pages of a console see of a world in another process.
+pub(super) struct WorldForPages {
+    from: WorldTopics,
+    task: MailboxWriter<TaskReport>,
+}
+
+/// What hands the newest instant to pages.
+pub(super) trait ForPages {
+    /// Hands the newest instant on, if there is one.
+    fn turn(&mut self, clock: MonotonicClock) -> Result<(), SessionError>;
+}
+
+impl ForPages for WorldForPages {
+    fn turn(&mut self, clock: MonotonicClock) -> Result<(), SessionError> {
+        if let Some(report) = self.from.task.newest()? {
+            self.task.put(report);
+        }
+        if let Some(report) = self.from.snapshots.newest()?
+            && let Some(scene) = &mut self.from.scene
+        {
+            let stamp = clock.from_system(report.stamp);
+            scene.show(&snapshot_report::scene(&report), stamp)?;
+        }
+        Ok(())
+    }
+}
+
 /// Hands the newest instant to the pages of `scene`, if there is one; one that can't be shown ends with a word, the run goes on.
 pub(super) fn show_pages(
-    scene: &mut Option<SceneForPages>,
+    scene: &mut Option<impl ForPages>,
     clock: MonotonicClock,
     signals: &Signals,
 ) {

@@ -3,11 +3,14 @@
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::TaskConfig;
+use trocar_topics::FrameView;
 
-use super::scene_topics::{SceneForPages, Snapshot};
+use super::frames_thread::show_view;
+use super::scene_topics::{SceneForPages, Snapshot, WorldForPages, WorldTopics};
 use super::simulation_thread::ConsoleView;
-use crate::console::{Facts, PictureFacts, unseen_run};
+use crate::console::{Console, Facts, FrameTap, PictureFacts, unseen_run};
 use crate::mailbox::mailbox;
+use crate::rt::MonotonicClock;
 use crate::session::operator::{Listener, OperatorPort};
 use crate::session::plan::Arms;
 use crate::session::scene_options::BASELINE_M;
@@ -61,25 +64,81 @@ fn picture_of(task: &TaskConfig) -> Option<PictureFacts> {
     })
 }
 
-/// Shows a run without a simulation of its own, whose arms are on these interfaces with this bit rate, bit/s.
+/// Pages that are shown frames of the cameras of these names, in the order in which they were told of them.
+pub(super) struct CameraPages {
+    to: FrameTap,
+    names: Vec<String>,
+}
+
+impl CameraPages {
+    /// Those of `console`, which were told of the cameras `names`.
+    pub(super) fn of(console: &Console, names: Vec<String>) -> Self {
+        Self {
+            to: console.frames(),
+            names,
+        }
+    }
+
+    /// Shows pages what they want of `view`, the newest frame of the camera `name`, by the run's `clock`.
+    pub(super) fn show(&self, name: &str, view: &FrameView, clock: MonotonicClock) {
+        if let Some(camera) = self.names.iter().position(|known| known == name) {
+            show_view(&self.to, camera, view, clock);
+        }
+    }
+}
+
+/// What pages are shown of arms outside of this process.
+pub(super) struct RigPages {
+    pub(super) cameras: CameraPages,
+    /// Of a task.
+    pub(super) world: Option<WorldForPages>,
+}
+
+/// Shows the scene of a `world` of another process on the pages of the console of `plan`, which begins with `start` if that is known.
+pub(super) fn show_world(
+    (plan, console): (&Plan, &Console),
+    world: WorldTopics,
+    start: Option<&SceneSnapshot>,
+) -> Result<WorldTopics, SessionError> {
+    let Some(start) = start else {
+        return Ok(world);
+    };
+    let setup = &plan.setup;
+    let model = SceneModel::new(&setup.task, plan.seed);
+    let scene = console.show_scene(model, start, &setup.robot().control.arms)?;
+    Ok(world.with_scene(scene))
+}
+
+/// Shows a run without a simulation of its own, whose arms are on these interfaces with this bit rate, bit/s, with these cameras and, of a task, its
+/// world: what pages are shown while it goes on, if there is a console.
 pub(super) fn show_rig<S: Arms>(
     plan: &Plan<S>,
     (interfaces, bit_rate): (Vec<String>, u32),
+    (cameras, world): (Vec<String>, Option<WorldTopics>),
     (listener, port): (Option<&Listener>, &mut OperatorPort),
-) {
-    let title = plan
-        .setup
-        .task()
-        .map_or("robot", |setup| setup.task_name.as_str());
-    let facts = facts_of(plan, title, Vec::new()).on_buses(interfaces, bit_rate);
+) -> Option<RigPages> {
+    let task = plan.setup.task();
+    let title = task.map_or("robot", |setup| setup.task_name.as_str());
+    let mut facts = facts_of(plan, title, cameras.clone()).on_buses(interfaces, bit_rate);
+    if let Some(setup) = task {
+        facts = facts.within_s(setup.task.time_limit_s);
+    }
     let Some(console) = &plan.console else {
-        return show_operator(facts, listener, port);
+        show_operator(facts, listener, port);
+        return None;
     };
+    if world.as_ref().is_some_and(WorldTopics::has_scene) {
+        facts = facts.with_scene();
+    }
     let taps = console.show_run(facts, listener.map(|listener| listener.path().to_owned()));
     if let Some(listener) = listener {
         listener.show(taps.view);
     }
     port.tap = Some(taps.control);
+    Some(RigPages {
+        cameras: CameraPages::of(console, cameras),
+        world: world.map(|world| world.shown_on(taps.task)),
+    })
 }
 
 /// Shows a run that no page shows to whoever asks at `listener`.

@@ -12,14 +12,16 @@ use trocar_world::tissue::TissueExtremes;
 use super::arm_states::StepStates;
 use super::scene_topics::Snapshot;
 use super::signals::{EndRunOnDrop, Signals};
-use crate::console::{BETWEEN_NS, FrameTap, TaskState};
+use crate::console::{BETWEEN_NS, FrameTap};
 use crate::histogram::Histogram;
 use crate::mailbox::MailboxWriter;
 use crate::rt::{MonotonicClock, Periodic, RtOptions, configure_thread};
 use crate::session::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
 use crate::session::teleop::{CHUNK_TICKS, Demonstrating, Demonstration, Driver, Intervention};
+use crate::session::world_report::TaskState;
 use crate::session::{SessionError, scene_record};
 use trocar_log::{Level, SceneLog};
+use trocar_topics::TaskReport;
 
 /// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
 const FRAME_EVERY_STEPS: u64 = 5;
@@ -59,7 +61,7 @@ pub(super) struct ConsoleView {
     pub(super) to: MailboxWriter<Snapshot>,
     pub(super) frames: FrameTap,
     /// How the task stands.
-    pub(super) task: MailboxWriter<TaskState>,
+    pub(super) task: MailboxWriter<TaskReport>,
 }
 
 impl Shown {
@@ -92,7 +94,8 @@ impl Shown {
             log.scene(stamp, record);
         }
         if let Some(console) = &mut self.console {
-            console.task.put(TaskState::of(simulation));
+            let task = TaskState::of(simulation);
+            console.task.put(task.report(stamp, step));
         }
         self.wakes.iter().for_each(Thread::unpark);
     }

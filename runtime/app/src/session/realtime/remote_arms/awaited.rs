@@ -1,7 +1,9 @@
 //! What a run of arms outside of this process waits for before any of them gets torque: named on the terminal within a second, and not for ever.
 
+use trocar_tasks::scene::SceneSnapshot;
 use trocar_topics::{CameraTopic, FrameSubscriber, SceneReport, Subscriber, TopicNode, Verdict};
 
+use super::super::scene_topics::WorldTopics;
 use super::bring_up::uninterrupted;
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
@@ -70,6 +72,27 @@ pub(super) fn world(
         "no publisher of a scene on topics {topics:?}: start `{host}` first, or name its topics with --topics"
     );
     await_it(&what, &lacking, WORLD_NS_MAX, say, || Ok(scene.newest()?))
+}
+
+/// Waits until it is known where everything is in the world, whose state was seen on `topics`, for pages to see it; nothing of a world that does
+/// not say so.
+pub(super) fn start(
+    world: &WorldTopics,
+    topics: &str,
+    say: PrintLine<'_>,
+) -> Result<Option<SceneSnapshot>, SessionError> {
+    let what = format!("where everything is in the world on topics {topics:?}");
+    let lacking = format!(
+        "the world on topics {topics:?} does not say where everything is: the console shows no scene"
+    );
+    match await_it(&what, &lacking, WORLD_NS_MAX, say, || world.newest()) {
+        Err(SessionError::RealTime(_)) => {
+            uninterrupted()?;
+            say(&lacking);
+            Ok(None)
+        }
+        found => found.map(Some),
+    }
 }
 
 /// Waits until the world reports that its drives are not operational, as ours are not once they are brought up: those that are belong to

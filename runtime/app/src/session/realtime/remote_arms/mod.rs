@@ -10,6 +10,7 @@
 //!
 //! Of a task, the world is in another process (`trocar drives`, `trocar simulator`), which shows its scene and its verdict: [`run_on_can`], [`run_on_topics`]. A robot has
 //! none: [`run_robot_on_can`] and [`run_robot_on_topics`] need limits, arms and, if its policy looks at some, cameras on topics, whoever publishes them.
+//! The observing thread also hands what comes to the pages of a console.
 //!
 //! What is waited for before the arms get torque is named on the terminal, and not for ever. How they are reached is an [`ArmLink`]: [`can`] or
 //! [`topics`]. A fault of any ends the run; nothing enables them again but a new run.
@@ -25,22 +26,22 @@ mod topics;
 
 use std::sync::Arc;
 
-use hal::{ARM_NAMES, Rig};
+use hal::{ARM_NAMES, ArmState, PerArm, Rig};
 use trocar_topics::{ArmReport, Publisher, SceneReport, SceneTopic, Subscriber, TopicNode};
 
-use super::channels::{ControlChannels, Local, ObserverChannels, ThreadChannels};
+use super::channels::{Local, ObserverChannels, ThreadChannels};
 use super::child::Outside;
 use super::control_thread::{ControlEnd, ControlThread};
-use super::drivers::Drivers;
 use super::opened::Opened;
 use super::robot::{RobotOptions, RobotThread, check_faults};
-use super::shown::show_rig;
+use super::scene_topics::WorldTopics;
+use super::shown::{RigPages, show_rig, show_world};
 use super::signals::{Moving, Signals, StopsAll};
 use super::threads::{self, wired};
 use crate::mailbox::MailboxWriter;
 use crate::rig::ObservedRig;
 use crate::rig::can::Noticed;
-use crate::rt::{self, Held, MonotonicClock, RtOptions};
+use crate::rt::{self, MonotonicClock};
 use crate::session::plan::Arms;
 use crate::session::run::RunResult;
 use crate::session::summary::CanSummary;
@@ -48,7 +49,6 @@ use crate::session::{Plan, Robot, SessionError};
 use bring_up::{check_world, uninterrupted};
 use conclude::{Seen, conclude};
 use scene_thread::{SceneThread, frames};
-use trocar_control::AnyController;
 
 pub use awaited::PrintLine;
 pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS, Wanted, cameras};
@@ -197,13 +197,28 @@ fn run_task<L: ArmLink>(
     let at = (link.topics(), link.host());
     let world = awaited::world(&scene, at, say)?;
     check_world(&world, plan, at)?;
-    begun.run(plan, 0, &[], |node, watching| {
+    let mut shown = None;
+    if let Some(console) = &plan.console {
+        let world = WorldTopics::open(&begun.node)?;
+        let start = awaited::start(&world, link.topics(), say)?;
+        shown = Some(show_world((plan, console), world, start.as_ref())?);
+    }
+    let views = Views {
+        within_ms: 0,
+        asked: &[],
+        world: shown,
+    };
+    begun.run(plan, views, |node, watching| {
         link.await_world(&scene, watching.seen.clock, say)?;
-        let names = plan.setup.cameras_with(Vec::new());
-        let logged = if watching.seen.log.is_some() {
-            names
-        } else {
-            Vec::new()
+        let logged = plan.setup.cameras_with(Vec::new());
+        let (camera_pages, world_pages) = match watching.pages {
+            Some(RigPages { cameras, world }) => (Some(cameras), world),
+            None => (None, None),
+        };
+        let names = match (&camera_pages, &watching.seen.log) {
+            (Some(_), _) => plan.setup.camera_names(),
+            (None, Some(_)) => logged.clone(),
+            (None, None) => Vec::new(),
         };
         let scene_thread = SceneThread {
             say,
@@ -212,7 +227,10 @@ fn run_task<L: ArmLink>(
             seen: watching.seen,
             local: watching.local,
             reports: watching.reports,
-            frames: frames(node, logged)?,
+            frames: frames(node, &names)?,
+            logged,
+            camera_pages,
+            world_pages,
         };
         Ok(|| scene_thread.run())
     })
@@ -253,17 +271,24 @@ fn run_robot<L: ArmLink>(
     say: PrintLine<'_>,
 ) -> Result<RunResult, SessionError> {
     let begun = begin(&plan.setup, link, say)?;
-    begun.run(plan, FRAMES_WITHIN_MS, &asked.cameras, |node, watching| {
+    let views = Views {
+        within_ms: FRAMES_WITHIN_MS,
+        asked: &asked.cameras,
+        world: None,
+    };
+    begun.run(plan, views, |node, watching| {
         let Watching {
             seen,
             local,
             reports,
             cameras,
+            pages,
         } = watching;
         // Nobody else has to be there.
         seen.signals.allow_torque();
         let supervised = (plan.setup.robot().control.supervision, plan.warn);
         let robot_thread = RobotThread::new(seen, local, reports, cameras, (asked, supervised));
+        let robot_thread = robot_thread.shown_on(pages.map(|pages| pages.cameras));
         let robot_thread = robot_thread.woken_by(node.events()?);
         Ok(|| robot_thread.run())
     })
@@ -277,28 +302,39 @@ struct Watching {
     reports: Vec<Publisher<ArmReport>>,
     /// Cameras that were waited for, and how many of them the policy looks through: the first.
     cameras: (Vec<Camera>, usize),
+    /// What pages are shown, if there is a console.
+    pages: Option<RigPages>,
+}
+
+/// What is seen of the arms and what is around them.
+struct Views<'a> {
+    /// How far frames may be from the instant of an observation, ms.
+    within_ms: u64,
+    /// Cameras that are waited for besides the policy's.
+    asked: &'a [String],
+    /// Of a task what pages are shown, if there is a console.
+    world: Option<WorldTopics>,
 }
 
 impl<L: ArmLink> Begun<'_, L> {
-    /// Waits for the policy, its cameras and those called `asked`, brings up the arms, and runs all threads; `watch` makes the one
-    /// that observes the arms. Frames may be `within_ms` from the instant of an observation.
+    /// Waits for the policy, its cameras and the others of `views`, brings up the arms, and runs all threads; `watch` makes the one
+    /// that observes the arms.
     fn run<S: Arms, T: Seen + Send, F: FnOnce() -> Result<T, SessionError> + Send>(
         self,
         plan: &Plan<S>,
-        within_ms: u64,
-        asked: &[String],
+        views: Views<'_>,
         watch: impl FnOnce(&TopicNode, Watching) -> Result<F, SessionError>,
     ) -> Result<RunResult, SessionError> {
         plan.real_time.check()?;
         let (link, clock, node, say) = (self.link, self.clock, self.node, self.say);
         let outside = Outside {
             topics: link.topics(),
-            frames_within_ms: within_ms,
+            frames_within_ms: views.within_ms,
         };
         let policy = Opened::open(plan, Some(&outside))?;
         let mut wanted = policy.cameras();
         let looked_at = wanted.len();
-        for name in asked {
+        for name in views.asked {
             if wanted.iter().all(|(known, _)| known != name) {
                 wanted.push((name.clone(), None));
             }
@@ -313,7 +349,13 @@ impl<L: ArmLink> Begun<'_, L> {
         let mut channels =
             ThreadChannels::new((plan.open_log(false)?, plan.console.as_ref()), clock);
         let port = (channels.listener.as_ref(), &mut channels.control.operator);
-        show_rig(plan, link.buses(robot.arms()), port);
+        // Of a task all its cameras, should its world show them.
+        let names = match plan.setup.task() {
+            Some(setup) => setup.camera_names(),
+            None => cameras.iter().map(|(name, _)| name.clone()).collect(),
+        };
+        let buses = link.buses(robot.arms());
+        let pages = show_rig(plan, buses, (names, views.world), port);
         let reports = arm_reports(&node, robot.arms(), child.is_some())?;
         let (local, remote) = wired(plan, source, child.as_mut(), channels.chunk_in, clock);
         let watching = Watching {
@@ -321,19 +363,19 @@ impl<L: ArmLink> Begun<'_, L> {
             local,
             reports,
             cameras: (cameras, looked_at),
+            pages,
         };
         let observe = watch(&node, watching)?;
         let enabling = Enabling {
             link,
             say,
             ready,
-            controller: robot.controller()?,
-            channels: channels.control,
-            profile: plan.real_time.control,
-            overruns_max: plan.real_time.overruns_per_s_max,
-            held: plan.real_time.hold()?,
+            control: ControlThread::new(plan, channels.control, None)?,
+            measured: channels.measured,
+            noticed: channels.noticed,
+            clock,
         };
-        let signals = Arc::clone(&enabling.channels.signals);
+        let signals = Arc::clone(enabling.control.signals());
         let served = (&*signals, channels.listener.as_ref());
         let ends = threads::run(remote, served, || enabling.run(), observe);
         conclude(plan, ends, channels.log, link)
@@ -345,25 +387,16 @@ struct Enabling<'a, L: ArmLink> {
     link: &'a L,
     say: PrintLine<'a>,
     ready: L::Ready,
-    controller: AnyController,
-    channels: ControlChannels,
-    profile: RtOptions,
-    overruns_max: Option<u64>,
-    held: Held,
+    control: ControlThread,
+    measured: MailboxWriter<PerArm<ArmState>>,
+    noticed: MailboxWriter<Noticed>,
+    clock: MonotonicClock,
 }
 
 impl<L: ArmLink> Enabling<'_, L> {
     /// Enables all arms and controls them until the run is over, which leaves them without torque.
     fn run(self) -> Result<ControlEnd<L::Rig>, SessionError> {
-        let ControlChannels {
-            measured,
-            noticed,
-            chunks,
-            log,
-            signals,
-            operator,
-            clock,
-        } = self.channels;
+        let signals = Arc::clone(self.control.signals());
         // Until the arms are taken down.
         let _moving = Moving;
         let _stops = StopsAll(&signals);
@@ -372,23 +405,14 @@ impl<L: ArmLink> Enabling<'_, L> {
             return Err(SessionError::Interrupted);
         }
         // From here on drives want their SYNC in time; the loop reports what was granted.
-        let _granted = rt::configure_thread(&self.profile);
+        let _granted = rt::configure_thread(self.control.profile());
         (self.say)("checking the arms once more; they are enabled when all answer");
-        let rig = self.link.enable(self.ready, noticed, &signals, clock)?;
-        let control = ControlThread {
-            controller: self.controller,
-            rig: ObservedRig::new(rig, measured),
-            drivers: Drivers::new(chunks, None),
-            log,
-            signals: Arc::clone(&signals),
-            operator,
-            profile: self.profile,
-            overruns_max: self.overruns_max,
-            fault_ends_run: true,
-            held: self.held,
-        };
-        let mut end = control.run(clock).with_rig(|observed| observed.rig);
-        L::take_down(&mut end.rig, clock);
+        let rig = self
+            .link
+            .enable(self.ready, self.noticed, &signals, self.clock)?;
+        let rig = ObservedRig::new(rig, self.measured);
+        let mut end = self.control.run(rig).with_rig(|observed| observed.rig);
+        L::take_down(&mut end.rig, self.clock);
         Ok(end)
     }
 }

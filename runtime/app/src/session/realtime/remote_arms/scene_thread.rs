@@ -1,5 +1,5 @@
 //! The world of arms in another process: its scene for the local policies, the arms' states for a policy
-//! process, its frames for the log, and its verdict.
+//! process, its frames for the log, all of it for the console's pages, and its verdict.
 
 use std::sync::Arc;
 
@@ -11,6 +11,8 @@ use trocar_topics::{
 
 use super::super::channels::{Local, ObserverChannels};
 use super::super::policy_process::arm_names;
+use super::super::scene_topics::{WorldForPages, show_pages};
+use super::super::shown::CameraPages;
 use super::super::signals::EndRunOnDrop;
 use super::awaited::{Camera, PATIENCE_NS, PrintLine};
 use crate::histogram::Histogram;
@@ -41,8 +43,12 @@ pub(super) struct SceneThread<'a> {
     pub(super) local: Local,
     /// For a policy process, one an arm.
     pub(super) reports: Vec<Publisher<ArmReport>>,
-    /// For the log.
+    /// For the log and the pages.
     pub(super) frames: Vec<Camera>,
+    /// Those of them that the log keeps.
+    pub(super) logged: Vec<String>,
+    pub(super) camera_pages: Option<CameraPages>,
+    pub(super) world_pages: Option<WorldForPages>,
 }
 
 /// What it leaves behind.
@@ -81,12 +87,12 @@ pub(in super::super) fn arm_reports(
 }
 
 /// The frames of the cameras `names`, should the world show them.
-pub(super) fn frames(node: &TopicNode, names: Vec<String>) -> Result<Vec<Camera>, SessionError> {
-    let open = |name: String| {
-        let topic = CameraTopic::subscriber(node, &name)?;
-        Ok((name, topic))
+pub(super) fn frames(node: &TopicNode, names: &[String]) -> Result<Vec<Camera>, SessionError> {
+    let open = |name: &String| {
+        let topic = CameraTopic::subscriber(node, name)?;
+        Ok((name.clone(), topic))
     };
-    names.into_iter().map(open).collect()
+    names.iter().map(open).collect()
 }
 
 /// What of a world is waited for after bring-up, before its episode begins.
@@ -162,6 +168,7 @@ impl SceneThread<'_> {
             newest = self.seen.measured.take().or(newest);
             self.seen.tell();
             self.keep_frames()?;
+            show_pages(&mut self.world_pages, self.seen.clock, &signals);
             if let Some(report) = self.scene.newest()? {
                 heard = self.seen.clock.now();
                 end.tissue = tissue(&report);
@@ -260,13 +267,18 @@ impl SceneThread<'_> {
         Ok(())
     }
 
-    /// Hands frames that have come to the log.
+    /// Hands frames that have come to the log and the pages.
     fn keep_frames(&mut self) -> Result<(), SessionError> {
-        let Some(log) = &mut self.seen.log else {
-            return Ok(());
-        };
         for (name, topic) in &mut self.frames {
-            if let Some(view) = topic.newest()? {
+            let Some(view) = topic.newest()? else {
+                continue;
+            };
+            if let Some(pages) = &self.camera_pages {
+                pages.show(name, &view, self.seen.clock);
+            }
+            if let Some(log) = &mut self.seen.log
+                && self.logged.contains(name)
+            {
                 log.frame(name, &logged(&view, &self.seen.clock));
             }
         }

@@ -4,9 +4,8 @@ use std::sync::Arc;
 
 use hal::Rig;
 
-use super::super::channels::{ControlChannels, ThreadChannels};
+use super::super::channels::ThreadChannels;
 use super::super::control_thread::ControlThread;
-use super::super::drivers::Drivers;
 use super::super::ended::closed;
 use super::super::remote_arms::Camera;
 use super::super::shown::show_rig;
@@ -52,27 +51,11 @@ pub(super) fn run_seeing<R: Rig + Send>(
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
     let mut channels = ThreadChannels::new((plan.open_log(false)?, plan.console.as_ref()), clock);
     let port = (channels.listener.as_ref(), &mut channels.control.operator);
-    show_rig(plan, (Vec::new(), 0), port);
-    let ControlChannels {
-        measured,
-        chunks,
-        log,
-        signals,
-        operator,
-        ..
-    } = channels.control;
-    let control_thread = ControlThread {
-        controller: robot.controller()?,
-        rig: ObservedRig::new(rig, measured),
-        drivers: Drivers::new(chunks, None),
-        log,
-        signals: Arc::clone(&signals),
-        operator,
-        profile: plan.real_time.control,
-        fault_ends_run: true,
-        overruns_max: plan.real_time.overruns_per_s_max,
-        held: plan.real_time.hold()?,
-    };
+    let names = cameras.iter().map(|(name, _)| name.clone()).collect();
+    let pages = show_rig(plan, (Vec::new(), 0), (names, None), port);
+    let control_thread = ControlThread::new(plan, channels.control, None)?;
+    let signals = Arc::clone(control_thread.signals());
+    let rig = ObservedRig::new(rig, channels.measured);
     let local = Some((source, channels.chunk_in));
     let looked_at = cameras.len();
     let robot_thread = RobotThread::new(
@@ -82,10 +65,11 @@ pub(super) fn run_seeing<R: Rig + Send>(
         (cameras, looked_at),
         (asked, (robot.control.supervision, plan.warn)),
     );
+    let robot_thread = robot_thread.shown_on(pages.map(|pages| pages.cameras));
     let control = move || {
         // Until the drives are taken down.
         let _moving = Moving;
-        Ok(control_thread.run(clock).with_rig(|rig| rig.arms))
+        Ok(control_thread.run(rig).with_rig(|rig| rig.arms))
     };
     let served = (&*signals, channels.listener.as_ref());
     let ends = threads::run(None, served, control, || robot_thread.run());

@@ -7,12 +7,11 @@ use hal::{ArmState, TimeNs};
 use trocar_topics::{ArmReport, Events, Publisher};
 
 use super::super::channels::{Local, ObserverChannels};
-use super::super::frames_thread::show_view;
 use super::super::remote_arms::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
+use super::super::shown::CameraPages;
 use super::super::signals::EndRunOnDrop;
 use super::RobotOptions;
 use super::sight::{CameraMonitor, Rules};
-use crate::console::FrameTap;
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
@@ -41,8 +40,8 @@ pub(in super::super) struct RobotThread {
     limit_ns: Option<u64>,
     past: Past,
     events: Option<Events>,
-    /// Pages that are shown frames, and the place of each camera among those that they know.
-    pages: Option<(FrameTap, Vec<Option<usize>>)>,
+    /// Pages that are shown frames.
+    pages: Option<CameraPages>,
 }
 
 /// What it leaves behind.
@@ -115,14 +114,9 @@ impl RobotThread {
         Self { events, ..self }
     }
 
-    /// The same thread, which hands frames to pages, who know cameras by these names.
-    pub(in super::super) fn shown_on(self, to: FrameTap, names: &[String]) -> Self {
-        let place = |(name, _): &Camera| names.iter().position(|known| known == name);
-        let places = self.cameras.iter().map(place).collect();
-        Self {
-            pages: Some((to, places)),
-            ..self
-        }
+    /// The same thread, which shows frames on `pages` if there are some.
+    pub(in super::super) fn shown_on(self, pages: Option<CameraPages>) -> Self {
+        Self { pages, ..self }
     }
 
     /// Runs until the control thread has stopped; ends the run when the time is up or a camera that the policy needs is gone.
@@ -219,10 +213,8 @@ impl RobotThread {
             if index == 0 {
                 taken = Some(stamp);
             }
-            if let Some((to, places)) = &self.pages
-                && let Some(Some(place)) = places.get(index)
-            {
-                show_view(to, *place, &view, self.seen.clock);
+            if let Some(pages) = &self.pages {
+                pages.show(name, &view, self.seen.clock);
             }
             if let Some(log) = &mut self.seen.log {
                 log.frame(name, &logged(&view, &self.seen.clock));

@@ -74,7 +74,7 @@ fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
     let mut camera = Some(CameraTopic::publisher(&node, "scope", 64).unwrap());
     let topic = CameraTopic::subscriber(&node, "scope").unwrap();
     let channels = ThreadChannels::new((None, None), clock);
-    let (mut control, signals) = (channels.control, Arc::clone(&channels.seen.signals));
+    let (mut measured, signals) = (channels.measured, Arc::clone(&channels.seen.signals));
     let asked = RobotOptions {
         cameras: Vec::new(),
         seconds: Some(seconds),
@@ -101,7 +101,7 @@ fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
             let (mut was_gone, mut came_back) = (false, false);
             for tick in 0_u64.. {
                 let now = clock.now();
-                control.measured.put(state(now.0 / MS_NS, 0.0));
+                measured.put(state(now.0 / MS_NS, 0.0));
                 let (stamp, late) = (clock.to_system(now), tick > 100);
                 let [grey, ..] = tick.to_le_bytes();
                 match (&mut camera, does) {
