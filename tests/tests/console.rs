@@ -18,6 +18,8 @@ mod desk;
 mod devices;
 #[path = "console/devtools.rs"]
 mod devtools;
+#[path = "console/elsewhere.rs"]
+mod elsewhere;
 #[path = "console/emulated.rs"]
 mod emulated;
 #[path = "console/foxglove.rs"]
@@ -34,6 +36,8 @@ mod log;
 mod monitor;
 #[path = "console/page.rs"]
 mod page;
+#[path = "console/recorded.rs"]
+mod recorded;
 #[path = "console/run.rs"]
 mod run;
 #[path = "console/secure.rs"]

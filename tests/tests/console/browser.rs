@@ -318,6 +318,7 @@ fn the_page_follows_a_recording() {
     browser.wait_until("document.querySelector('#attempts li')?.dataset.kept === 'true'");
     browser.wait_until(PICTURE);
     browser.wait_until("document.querySelector('.axis .measured')?.hidden === false");
+    browser.wait_until("document.querySelectorAll('#criteria-rows tr').length > 1");
     assert_eq!(
         browser.evaluate("document.querySelector('#steering').hidden"),
         true

@@ -1,0 +1,158 @@
+//! Runs whose arms are in another process, as pages see them: cameras, the scene and how the task stands come over topics.
+
+use std::io::{BufRead as _, BufReader};
+use std::process::{Child, Stdio};
+
+use serde_json::{Value, json};
+use tests::{repository, trocar};
+
+use crate::page::Page;
+use crate::run::{SLOW_MOTION, Served};
+
+/// Where a page is told that everything in the scene is.
+const SCENE: u8 = 255;
+
+/// Time for the task, s: a test ends its run itself.
+const LONG: [&str; 2] = ["--set", "scene.episode.time_limit_s=300"];
+
+/// `trocar simulator` of a needle lift with one of its cameras, ended with its test.
+struct Simulator {
+    process: Child,
+    topics: String,
+}
+
+impl Simulator {
+    fn start(test: &str) -> Self {
+        let topics = format!("test-{}-{test}", std::process::id());
+        let mut command = trocar();
+        command
+            .env("TROCAR_SLOW_MOTION", SLOW_MOTION.to_string())
+            .args(["simulator", "--task", "needle-lift", "--seed", "7"])
+            .args(["--cameras", "endoscope", "--topics", &topics])
+            .args(LONG)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
+        let mut simulator = Self {
+            process: command.spawn().unwrap(),
+            topics,
+        };
+        let mut said = BufReader::new(simulator.process.stderr.take().unwrap());
+        let mut line = String::new();
+        while !line.contains("psm1 on topics") {
+            line.clear();
+            assert!(said.read_line(&mut line).unwrap() > 0, "no simulator");
+        }
+        std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
+        simulator
+    }
+
+    /// A run that leads its arm, with a console.
+    fn run(&self, test: &str, what: &[&str]) -> Served {
+        let words = ["run", "--backend", "topics", "--topics", &self.topics];
+        let policy = ["--policy", "random", "--seed", "7"];
+        let words = [&words[..], &policy, what].concat();
+        Served::start_slow(test, &words, SLOW_MOTION)
+    }
+}
+
+impl Drop for Simulator {
+    fn drop(&mut self) {
+        let _gone = self.process.kill();
+        let _reaped = self.process.wait();
+    }
+}
+
+/// The place of `name` among the cameras that a page was told of.
+fn place(facts: &Value, name: &str) -> u8 {
+    let cameras = facts["cameras"].as_array().unwrap();
+    let place = cameras.iter().position(|known| known == name);
+    u8::try_from(place.unwrap()).unwrap()
+}
+
+/// The next picture of `camera`.
+fn picture(page: &mut Page, camera: u8) -> Vec<u8> {
+    loop {
+        let picture = page.wait_for_picture();
+        if picture[0] == camera {
+            return picture;
+        }
+    }
+}
+
+fn shows_a_camera(page: &mut Page, camera: u8) {
+    let picture = picture(page, camera);
+    assert_eq!(picture[1], 0, "in colour");
+    assert_eq!(picture[16..18], [0xff, 0xd8], "JPEG");
+}
+
+/// What a page of a simulated run sees, that of a run whose simulator is another process sees too.
+#[test]
+fn a_page_sees_the_world_of_another_process() {
+    let _turn = tests::alone();
+    let simulator = Simulator::start("console-world");
+    let task = [&["--task", "needle-lift"][..], &LONG].concat();
+    let mut served = simulator.run("console-world", &task);
+    let mut page = Page::open(&served);
+    let facts = page.wait_for("facts", |_| true);
+    assert_eq!(facts["title"], "needle-lift");
+    assert_eq!(
+        (&facts["scene"], &facts["time_limit_s"]),
+        (&json!(true), &json!(300.0))
+    );
+    let endoscope = place(&facts, "endoscope");
+    page.say(&json!({ "show": [[endoscope, "colour"], [SCENE, "colour"]] }));
+    shows_a_camera(&mut page, endoscope);
+    // After head and counts it has poses, of which the arm's change.
+    let first = picture(&mut page, SCENE);
+    while picture(&mut page, SCENE)[28..] == first[28..] {}
+    let state = page.wait_for("state", |state| {
+        state["criteria"]
+            .as_array()
+            .is_some_and(|all| all.len() > 1)
+    });
+    assert!(!state["task"].as_str().unwrap().is_empty(), "{state}");
+    let criteria = state["criteria"].as_array().unwrap();
+    let lasts = criteria.last().unwrap();
+    assert_eq!(
+        (&lasts["unit"], &lasts["met"]),
+        (&json!("s"), &json!(false))
+    );
+    assert!(criteria.iter().all(|it| it["goal"].is_f64()), "{state}");
+    let (host, cookie) = (served.host(), served.cookie());
+    let headers = [("Host", host.as_str()), ("Cookie", cookie.as_str())];
+    let scene = served.get("/scene.glb", &headers);
+    for part in ["needle", "left finger", "endoscope", "psm1"] {
+        assert!(scene.contains(&format!("\"name\":\"{part}\"")), "{part}");
+    }
+    assert!(page.command("stop").0);
+    page.wait_for("end", |_| true);
+    assert_eq!(served.code(), 1);
+}
+
+/// A robot has cameras, which are those that were asked for, and neither scene nor criteria.
+#[test]
+fn a_page_sees_the_cameras_of_a_robot() {
+    let _turn = tests::alone();
+    let simulator = Simulator::start("console-robot");
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let what = [
+        "--safety",
+        safety.to_str().unwrap(),
+        "--cameras",
+        "endoscope",
+    ];
+    let mut served = simulator.run("console-robot", &what);
+    let mut page = Page::open(&served);
+    let facts = page.wait_for("facts", |_| true);
+    assert_eq!(
+        (&facts["cameras"], &facts["scene"]),
+        (&json!(["endoscope"]), &json!(false))
+    );
+    page.say(&json!({ "show": [[0, "colour"]] }));
+    shows_a_camera(&mut page, 0);
+    let state = page.wait_for_state("ENABLED");
+    assert!(state["criteria"].is_null(), "{state}");
+    assert!(page.command("stop").0);
+    page.wait_for("end", |_| true);
+    served.code();
+}
