@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-waiting test-beside test-adversary test-golden test-can test-python test-foxglove test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
+.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-adversary test-golden test-can test-python test-foxglove test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
 
 TARGET := $(abspath $(or $(CARGO_TARGET_DIR),target))
 TROCAR := $(TARGET)/release/trocar
@@ -25,23 +25,24 @@ CLOCKLESS := anatomy bad_input can_fuzz compute determinism ensembling evaluatio
 # Unit tests that read it.
 CLOCKED := session::realtime::
 
-# Everything that can fail for a reason in this tree, of a release with assertions. What needs no clock runs, at the lowest priority, beside
-# what mostly waits for a bus or for Python; what runs in real time comes afterwards, alone: beside others it lacked its processor.
+# Everything that can fail for a reason in this tree, of a release with assertions. What reads a clock, or waits for a bus, Python or a
+# browser, runs in turn; what needs no clock has the processor time that they leave.
 test: setup checked
 	$(CARGO) test --workspace --tests --no-run
-	$(MAKE) -j2 --output-sync=target test-waiting test-beside
+	$(MAKE) -j2 --output-sync=target test-in-turn test-beside
+
+test-in-turn:
+	$(MAKE) test-can
+	$(MAKE) test-python
+	$(MAKE) test-anatomy-short
 	$(MAKE) test-clocked
 	$(MAKE) test-study
 	$(MAKE) test-console
 
-test-waiting:
-	$(MAKE) test-can
-	$(MAKE) test-python
-	$(MAKE) test-anatomy-short
-
 test-beside:
-	nice -n 19 $(MAKE) -j2 --output-sync=target test-units test-clockless
-	nice -n 19 $(CARGO) test --workspace --doc
+	.ci/idle $(MAKE) test-units
+	.ci/idle $(MAKE) test-clockless
+	.ci/idle $(CARGO) test --workspace --doc
 
 test-units: setup
 	$(CARGO) test --workspace --lib -- --skip $(CLOCKED)
