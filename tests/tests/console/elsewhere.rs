@@ -4,7 +4,7 @@ use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Stdio};
 
 use serde_json::{Value, json};
-use tests::{repository, trocar};
+use tests::{repository, scratch, trocar};
 
 use crate::page::Page;
 use crate::run::{SLOW_MOTION, Served};
@@ -135,11 +135,14 @@ fn a_page_sees_the_cameras_of_a_robot() {
     let _turn = tests::alone();
     let simulator = Simulator::start("console-robot");
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let log = scratch("console-robot-log").join("run.mcap");
     let what = [
         "--safety",
         safety.to_str().unwrap(),
         "--cameras",
         "endoscope",
+        "--log",
+        log.to_str().unwrap(),
     ];
     let mut served = simulator.run("console-robot", &what);
     let mut page = Page::open(&served);

@@ -213,7 +213,8 @@ fn a_certificate_of_ones_own_is_served() {
     words.extend(["--console-cert", &cert, "--console-key", &private]);
     let served = Served::start_at(&folder, &words, SLOW_MOTION);
     assert!(served.fingerprint.is_some());
-    assert!(!folder.join("trocar").exists(), "none is made beside it");
+    let made = folder.join("trocar/console.json");
+    assert!(!made.exists(), "none is made beside it");
     let client = trusting(&own);
     let path = format!("/?token={}", served.token);
     for (host, status) in [("robot.example", 200), ("localhost", 421)] {
