@@ -49,7 +49,12 @@ class Circles:
 
 
 def resident_mb(process: int | str) -> float:
-    for line in Path(f"/proc/{process}/status").read_text().splitlines():
+    try:
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    except OSError:
+        # It is gone.
+        return 0.0
+    for line in lines:
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) / 1024.0
     return 0.0
@@ -58,9 +63,13 @@ def resident_mb(process: int | str) -> float:
 def cameras_of(run: int) -> int | None:
     """The process that draws the run's cameras, which any of its threads may have started."""
     for children in Path(f"/proc/{run}/task").glob("*/children"):
-        for child in children.read_text().split():
-            if Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")[1:2] == [b"cameras"]:
-                return int(child)
+        try:
+            for child in children.read_text().split():
+                if Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")[1:2] == [b"cameras"]:
+                    return int(child)
+        except OSError:
+            # A thread or a child that has just ended.
+            continue
     return None
 
 
@@ -76,7 +85,7 @@ def resident(run: int) -> dict[str, float]:
 
 def growth(samples: list[dict[str, float]]) -> dict[str, float]:
     """By how much each process grew in the second half, MB."""
-    late = samples[len(samples) // 2 :]
+    late = samples[len(samples) // 2 :] or [{}]
     return {name: max(sample.get(name, 0.0) for sample in late) - late[0][name] for name in late[0]}
 
 

@@ -69,8 +69,8 @@ const TICKS: usize = 4096;
 const CHUNKS: usize = 64;
 /// Frames and events that the queue holds.
 const SIDE_ITEMS: usize = 64;
-/// Scenes that the queue holds: two seconds of policy steps.
-const SCENES: usize = 50;
+/// Scenes that the queue holds: four seconds of policy steps.
+const SCENES: usize = 100;
 
 /// One end of a queue to the writer thread.
 struct Feed<T> {

@@ -207,8 +207,12 @@ fn task(header: &RunHeader, text: &str) -> Result<TaskConfig, String> {
             .with_needle(needle)
             .map_err(|error| error.to_string())?;
     }
-    let is_varied = |it: &Variation| header.varied.iter().any(|name| name == it.name());
-    let varied: Vec<Variation> = Variation::ALL.into_iter().filter(is_varied).collect();
+    let known = || Variation::ALL.into_iter().chain(Variation::EFFECTS);
+    let varied = header.varied.iter().map(|name| {
+        let found = known().find(|it| it.name() == name);
+        found.ok_or_else(|| format!("there is no variation {name:?}"))
+    });
+    let varied = varied.collect::<Result<Vec<_>, _>>()?;
     // Views that are drawn anew are a view of their own, which the header names.
     let view = View::ALL.into_iter().find(|it| it.name() == header.view);
     let view = view.filter(|_| !varied.contains(&Variation::Views));
@@ -268,9 +272,11 @@ mod tests {
             let shipped = &setup.task;
             let moved = [Variation::Views, Variation::Lens];
             let moved = shipped.clone().with_variations(&moved).unwrap();
+            let bent = [Variation::Distortion, Variation::Smoke];
+            let bent = shipped.clone().with_variations(&bent).unwrap();
             let needles = shipped.clone().with_variations(&[Variation::Needles]);
             let swapped = shipped.clone().with_view(View::View2);
-            let others = [Some(moved), needles.ok(), swapped.ok()];
+            let others = [Some(moved), Some(bent), needles.ok(), swapped.ok()];
             for task in others.into_iter().flatten().chain([shipped.clone()]) {
                 let (scenes, records) = steps(&task);
                 let header = header(&setup, &task);

@@ -71,7 +71,7 @@ impl ThreadChannels {
         let (noticed_in, noticed) = mailbox();
         let signals = Arc::new(Signals::of(console));
         let (listener, operator) = listen(false);
-        // Of arms outside of the process no scene is known.
+        // The scene of arms outside of the process is not logged.
         let (tick_log, side_log, _, log) = split(recorder);
         Self {
             control: ControlChannels {

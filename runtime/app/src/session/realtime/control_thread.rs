@@ -11,12 +11,11 @@ use super::channels::ControlChannels;
 use super::drivers::Drivers;
 use super::hold::Hold;
 use super::signals::{Signals, StopsAll};
-use super::timing::LoopTiming;
+use super::timing::{LoopEnd, LoopTiming};
 use crate::rig;
 use crate::rt::{Held, MonotonicClock, RtOptions};
 use crate::session::operator::OperatorPort;
 use crate::session::plan::Arms;
-use crate::session::summary::RealTimeCounts;
 use crate::session::tally::Tally;
 use crate::session::teleop::TeleopCommand;
 use crate::session::{Plan, SessionError};
@@ -50,7 +49,7 @@ pub(super) struct ControlEnd<R> {
     pub(super) rig: R,
     pub(super) tally: Tally,
     /// The loop's timing, without what the log dropped.
-    pub(super) counts: RealTimeCounts,
+    pub(super) timing: LoopEnd,
     pub(super) log_dropped: u64,
 }
 
@@ -60,13 +59,13 @@ impl<R> ControlEnd<R> {
         let Self {
             rig,
             tally,
-            counts,
+            timing,
             log_dropped,
         } = self;
         ControlEnd {
             rig: change(rig),
             tally,
-            counts,
+            timing,
             log_dropped,
         }
     }
@@ -154,7 +153,7 @@ impl ControlThread {
                 }
             }
         }
-        let counts = timing.end();
+        let timing = timing.end();
         // The arms hear of every command that the log has.
         rig.exchange(setpoints.as_ref());
         tally.measured(&self.controller);
@@ -162,7 +161,7 @@ impl ControlThread {
         ControlEnd {
             rig,
             tally,
-            counts,
+            timing,
             log_dropped,
         }
     }

@@ -27,7 +27,7 @@ pub(super) fn closed<R, S: Arms>(
     }
     let real_time = RealTimeCounts {
         log_dropped,
-        ..control.counts.clone()
+        ..control.timing.counts()
     };
     RunResult {
         ok: ended.ok,

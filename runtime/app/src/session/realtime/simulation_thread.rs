@@ -89,12 +89,11 @@ impl Shown {
                 scene.put(snapshot());
             }
         }
+        let task = TaskState::of(simulation);
         if let Some(log) = &mut self.log {
-            let record = scene_record::record(&snapshot().scene, &TaskState::of(simulation));
-            log.scene(stamp, record);
+            log.scene(stamp, scene_record::record(&snapshot().scene, &task));
         }
         if let Some(console) = &mut self.console {
-            let task = TaskState::of(simulation);
             console.task.put(task.report(stamp, step));
         }
         self.wakes.iter().for_each(Thread::unpark);

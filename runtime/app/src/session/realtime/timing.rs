@@ -101,9 +101,33 @@ impl LoopTiming {
         self.skipped
     }
 
-    /// The counts; `log_dropped` is 0, since only the log knows it, and of the ticks' compute time there is no histogram yet.
-    pub(super) fn end(self) -> RealTimeCounts {
-        let allocations = thread_allocations().wrapping_sub(self.allocations);
+    /// What the thread's loop came to: the thread asks for no memory for it.
+    pub(super) fn end(self) -> LoopEnd {
+        LoopEnd {
+            faults: thread_faults().since(&self.faults),
+            allocations: thread_allocations().wrapping_sub(self.allocations),
+            granted: self.granted,
+            skipped: self.skipped,
+            wakes: self.wakes,
+            periods: self.periods,
+        }
+    }
+}
+
+/// The counts of a loop that is over.
+#[derive(Debug)]
+pub(super) struct LoopEnd {
+    granted: RtReport,
+    faults: ThreadFaults,
+    allocations: u64,
+    skipped: u64,
+    wakes: Histogram,
+    periods: Histogram,
+}
+
+impl LoopEnd {
+    /// The same for people; `log_dropped` is 0, since only the log knows it, and of the ticks' compute time there is no histogram yet.
+    pub(super) fn counts(&self) -> RealTimeCounts {
         RealTimeCounts {
             overruns: self.skipped,
             wake_us: PercentilesUs::of(&self.wakes),
@@ -114,9 +138,9 @@ impl LoopTiming {
                 period: BucketsUs::of(&self.periods),
             },
             thread: ThreadCounts {
-                allocations,
-                faults: thread_faults().since(&self.faults),
-                granted: self.granted,
+                allocations: self.allocations,
+                faults: self.faults,
+                granted: self.granted.clone(),
             },
             log_dropped: 0,
             slow_motion: rt::slow_motion(),

@@ -168,7 +168,6 @@ impl SceneThread<'_> {
             newest = self.seen.measured.take().or(newest);
             self.seen.tell();
             self.keep_frames()?;
-            show_pages(&mut self.world_pages, self.seen.clock, &signals);
             if let Some(report) = self.scene.newest()? {
                 heard = self.seen.clock.now();
                 end.tissue = tissue(&report);
@@ -223,6 +222,8 @@ impl SceneThread<'_> {
                 ended = true;
                 signals.end_run();
             }
+            // Whoever looks on waits for the policy.
+            show_pages(&mut self.world_pages, self.seen.clock, &signals);
             self.keep_alive()?;
             rt::wait(&self.events, POLL_NS);
         }
@@ -269,19 +270,35 @@ impl SceneThread<'_> {
 
     /// Hands frames that have come to the log and the pages.
     fn keep_frames(&mut self) -> Result<(), SessionError> {
+        let (logged_names, signals, now) =
+            (&self.logged, &self.seen.signals, self.seen.clock.now());
+        let mut failed = None;
         for (name, topic) in &mut self.frames {
-            let Some(view) = topic.newest()? else {
+            let view = match topic.newest() {
+                Ok(view) => view,
+                Err(error) if logged_names.contains(name) => return Err(error.into()),
+                // Only pages look at it.
+                Err(error) => {
+                    let text = format!("pages are shown no more of camera {name}: {error}");
+                    signals.tell(now, trocar_log::Level::Warning, &text);
+                    failed = Some(name.clone());
+                    continue;
+                }
+            };
+            let Some(view) = view else {
                 continue;
             };
             if let Some(pages) = &self.camera_pages {
                 pages.show(name, &view, self.seen.clock);
             }
             if let Some(log) = &mut self.seen.log
-                && self.logged.contains(name)
+                && logged_names.contains(name)
             {
                 log.frame(name, &logged(&view, &self.seen.clock));
             }
         }
+        self.frames
+            .retain(|(name, _)| failed.as_ref() != Some(name));
         Ok(())
     }
 
