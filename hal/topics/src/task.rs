@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn more_criteria_than_there_can_be_are_none() {
+    fn a_count_beyond_all_criteria_is_all_of_them() {
         for (criterion_count, expected) in [(0, 0), (3, 3), (8, 8), (9, 8), (u64::MAX, 8)] {
             let report = TaskReport {
                 criterion_count,

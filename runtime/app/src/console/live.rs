@@ -6,13 +6,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::facts::Facts;
 use super::path::paths;
 use super::pictures::Board;
-use super::state::{BusState, State, task_record};
+use super::state::{BusState, State};
 use super::tap::Sample;
 use super::viewers::Message;
 use crate::mailbox::MailboxReader;
 use crate::rig::can_traffic::Buses;
 use crate::rt::MonotonicClock;
 use crate::session::operator::{Command, exchange};
+use crate::session::scene_record;
 use crate::session::teleop::Hands;
 use hal::{Chunk, PerArm, TimeNs};
 use rtrb::Consumer;
@@ -134,7 +135,7 @@ impl Live {
         samples.chunks = samples.said.chunks.take().or(samples.chunks);
         let (sample, since) = samples.newest.as_ref()?;
         let silent_s = TimeNs(now.since(*since)).seconds();
-        let task = samples.task.as_ref().map(task_record);
+        let task = samples.task.as_ref().map(scene_record::task);
         let state = State::new(sample, &self.facts, silent_s, task);
         let paths = samples.chunks.as_ref().map(|chunks| {
             let bases = &self.facts.rcms_in_scene;

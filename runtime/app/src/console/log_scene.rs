@@ -255,7 +255,7 @@ mod tests {
         let (mut scenes, mut records) = (Vec::new(), States::default());
         for step in 0..3 {
             let (scene, stands) = (simulation.snapshot(), TaskState::of(&simulation));
-            let record = scene_record::record(&scene, &stands);
+            let record = scene_record::record(&scene, &stands.report(TimeNs(0), 0));
             records.keep(40 * step, serde_json::to_string(&record).unwrap().into());
             scenes.push(scene);
             for _ in 0..40 {

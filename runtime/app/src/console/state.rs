@@ -4,7 +4,6 @@ use hal::{ARM_NAMES, ArmCommand, ArmState, TimeNs};
 use serde::Serialize;
 use trocar_control::{GateDecision, QpOutcome};
 use trocar_log::{ArmRecord, CriterionRecord, TaskRecord};
-use trocar_topics::{CriterionReport, TaskReport};
 
 use super::facts::Facts;
 use super::path::Path;
@@ -42,22 +41,6 @@ pub(super) struct State {
     /// Where the newest chunk leads, arm by arm.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     paths: Vec<Path>,
-}
-
-/// How a task stands, as it was told.
-pub(super) fn task_record(told: &TaskReport) -> TaskRecord {
-    let criterion = |it: &CriterionReport| CriterionRecord {
-        name: it.name.text(),
-        unit: it.unit.text(),
-        value: Some(it.value).filter(|value| value.is_finite()),
-        goal: it.goal,
-        at_least: it.at_least != 0,
-        met: it.met != 0,
-    };
-    TaskRecord {
-        missing: told.missing.text(),
-        criteria: told.criteria().iter().map(criterion).collect(),
-    }
 }
 
 /// What the kernel counts of a bus.

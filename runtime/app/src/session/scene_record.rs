@@ -3,21 +3,22 @@
 use hal::{ARMS_MAX, Pose};
 use trocar_log::{CriterionRecord, FlapRecord, Recorder, SceneRecord, TaskRecord};
 use trocar_tasks::scene::{SceneSnapshot, THINGS_MAX};
-use trocar_tasks::task::Criterion;
+use trocar_topics::{CriterionReport, TaskReport};
 use trocar_world::ArmBodies;
 use trocar_world::tissue::FlapSnapshot;
 
 use super::episode::StepView;
-use super::world_report::TaskState;
+use super::source::STEP_NS;
 
 /// Writes the scene of a policy step into a log.
 pub(super) fn keep(recorder: &mut Recorder, view: &StepView<'_>) {
     let at = view.arms.first.state.stamp;
-    recorder.scene(at, record(view.snapshot, &view.task));
+    let told = view.task.report(at, at.0 / STEP_NS);
+    recorder.scene(at, record(view.snapshot, &told));
 }
 
-/// The record of `scene`, whose task stands so.
-pub(crate) fn record(scene: &SceneSnapshot, stands: &TaskState) -> SceneRecord {
+/// The record of `scene`, whose task stands as `told`.
+pub(crate) fn record(scene: &SceneSnapshot, told: &TaskReport) -> SceneRecord {
     let parts = |arm: &ArmBodies| {
         [
             arm.shaft,
@@ -36,23 +37,23 @@ pub(crate) fn record(scene: &SceneSnapshot, stands: &TaskState) -> SceneRecord {
             nodes_m: flap.nodes_m().to_vec(),
             mark_m: flap.mark_m(),
         }),
-        task: task(stands),
+        task: task(told),
     }
 }
 
-/// How a task stands, in a log.
-fn task(stands: &TaskState) -> TaskRecord {
-    let criterion = |it: &Criterion| CriterionRecord {
-        name: it.name.to_owned(),
-        unit: it.unit.to_owned(),
+/// How a task stands, as it was told: in a log and for pages.
+pub(crate) fn task(told: &TaskReport) -> TaskRecord {
+    let criterion = |it: &CriterionReport| CriterionRecord {
+        name: it.name.text(),
+        unit: it.unit.text(),
         value: Some(it.value).filter(|value| value.is_finite()),
         goal: it.goal,
-        at_least: it.at_least,
-        met: it.met,
+        at_least: it.at_least != 0,
+        met: it.met != 0,
     };
     TaskRecord {
-        missing: stands.missing.to_owned(),
-        criteria: stands.criteria.iter().map(criterion).collect(),
+        missing: told.missing.text(),
+        criteria: told.criteria().iter().map(criterion).collect(),
     }
 }
 
@@ -88,10 +89,12 @@ pub(crate) fn snapshot(record: &SceneRecord) -> Option<SceneSnapshot> {
 
 #[cfg(test)]
 mod tests {
+    use hal::TimeNs;
     use trocar_tasks::simulation::{Rendering, Simulation};
     use trocar_tasks::task::TaskConfig;
 
     use super::*;
+    use crate::session::TaskState;
 
     /// What is drawn of a log is bit for bit what was there; a second of it takes little.
     #[test]
@@ -103,7 +106,8 @@ mod tests {
                 simulation.step();
             }
             let (scene, stands) = (simulation.snapshot(), TaskState::of(&simulation));
-            let message = serde_json::to_vec(&record(&scene, &stands)).unwrap();
+            let message =
+                serde_json::to_vec(&record(&scene, &stands.report(TimeNs(0), 0))).unwrap();
             let most = if scene.flap.is_some() { 12_000 } else { 5000 };
             assert!(message.len() < most, "{name}: {} bytes", message.len());
             let read = SceneRecord::read(&message).unwrap();

@@ -62,7 +62,7 @@ impl TaskState {
     }
 
     /// The same as whoever looks on is told, of the instant `stamp` and the policy step `sequence`.
-    pub(super) fn report(&self, stamp: TimeNs, sequence: u64) -> TaskReport {
+    pub(crate) fn report(&self, stamp: TimeNs, sequence: u64) -> TaskReport {
         let mut report = TaskReport {
             stamp,
             sequence,

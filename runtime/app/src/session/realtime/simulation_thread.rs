@@ -89,12 +89,12 @@ impl Shown {
                 scene.put(snapshot());
             }
         }
-        let task = TaskState::of(simulation);
+        let task = TaskState::of(simulation).report(stamp, step);
         if let Some(log) = &mut self.log {
             log.scene(stamp, scene_record::record(&snapshot().scene, &task));
         }
         if let Some(console) = &mut self.console {
-            console.task.put(task.report(stamp, step));
+            console.task.put(task);
         }
         self.wakes.iter().for_each(Thread::unpark);
     }

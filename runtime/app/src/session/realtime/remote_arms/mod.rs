@@ -210,15 +210,17 @@ fn run_task<L: ArmLink>(
     };
     begun.run(plan, views, |node, watching| {
         link.await_world(&scene, watching.seen.clock, say)?;
-        let logged = plan.setup.cameras_with(Vec::new());
+        let logged = match &watching.seen.log {
+            Some(_) => plan.setup.cameras_with(Vec::new()),
+            None => Vec::new(),
+        };
         let (camera_pages, world_pages) = match watching.pages {
             Some(RigPages { cameras, world }) => (Some(cameras), world),
             None => (None, None),
         };
-        let names = match (&camera_pages, &watching.seen.log) {
-            (Some(_), _) => plan.setup.camera_names(),
-            (None, Some(_)) => logged.clone(),
-            (None, None) => Vec::new(),
+        let names = match &camera_pages {
+            Some(_) => plan.setup.camera_names(),
+            None => logged.clone(),
         };
         let scene_thread = SceneThread {
             say,
