@@ -101,8 +101,7 @@ impl Pipelines {
             ..Default::default()
         });
         pass.set_pipeline(&self.shadow);
-        pass.set_bind_group(0, &light.group, &[]);
-        scene.draw(&mut pass, |_| None);
+        scene.draw(&mut pass, light, |_| None);
     }
 
     /// Draws what is where.
@@ -113,8 +112,7 @@ impl Pipelines {
         camera: &Records,
     ) {
         pass.set_pipeline(&self.label);
-        pass.set_bind_group(0, &camera.group, &[]);
-        scene.draw(pass, |_| None);
+        scene.draw(pass, camera, |_| None);
     }
 
     /// Draws the scene as the camera sees it, what is behind it last.
@@ -124,10 +122,10 @@ impl Pipelines {
         scene: &Scene,
         camera: &Records,
     ) {
-        pass.set_bind_group(0, &camera.group, &[]);
         pass.set_bind_group(1, &self.maps, &[]);
-        scene.draw(pass, |pattern| Some(self.colours.of(pattern)));
+        scene.draw(pass, camera, |pattern| Some(self.colours.of(pattern)));
         pass.set_pipeline(&self.colours.backdrop);
+        camera.bind(pass, 0);
         pass.draw(0..3, 0..1);
     }
 }

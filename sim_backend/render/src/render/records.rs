@@ -1,5 +1,8 @@
-//! What one eye, a camera or the light, tells the device about a frame: one record of its own and one an object.
+//! What one eye, a camera or the light, tells the device about a frame: one record of its own and one of each object.
 
+use core::num::NonZero;
+
+use hal::count::index;
 use nalgebra::{Isometry3, Matrix4, Vector3};
 use wgpu::util::DeviceExt;
 
@@ -7,7 +10,10 @@ use super::{Camera, Light};
 use crate::visual::Backdrop;
 
 /// Bytes of one object record, see `scene.wgsl`.
-pub(super) const OBJECT_BYTES: usize = 112;
+const OBJECT_BYTES: u64 = 112;
+
+/// From one object record to the next, bytes: what every device can bind at.
+pub(super) const OBJECT_STRIDE: u32 = 256;
 
 /// Bytes of the frame record, see `scene.wgsl`.
 const FRAME_BYTES: usize = 320;
@@ -16,10 +22,15 @@ const FRAME_BYTES: usize = 320;
 pub(super) struct Records {
     pub(super) frame: wgpu::Buffer,
     pub(super) objects: wgpu::Buffer,
-    pub(super) group: wgpu::BindGroup,
+    group: wgpu::BindGroup,
 }
 
 impl Records {
+    /// Binds the frame's record and that of the object `index`.
+    pub(super) fn bind(&self, pass: &mut wgpu::RenderPass<'_>, index: u32) {
+        pass.set_bind_group(0, &self.group, &[OBJECT_STRIDE * index]);
+    }
+
     /// Room for `parts` objects.
     pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, parts: usize) -> Self {
         let filled = |label, bytes: usize, usage| {
@@ -31,8 +42,8 @@ impl Records {
         };
         let frame = filled("frame", FRAME_BYTES, wgpu::BufferUsages::UNIFORM);
         // An empty buffer can't be bound.
-        let object_bytes = OBJECT_BYTES * parts.max(1);
-        let objects = filled("objects", object_bytes, wgpu::BufferUsages::STORAGE);
+        let object_bytes = index(u64::from(OBJECT_STRIDE)) * parts.max(1);
+        let objects = filled("objects", object_bytes, wgpu::BufferUsages::UNIFORM);
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("records"),
             layout,
@@ -43,7 +54,11 @@ impl Records {
                 },
                 wgpu::BindGroupEntry {
                     binding: 1,
-                    resource: objects.as_entire_binding(),
+                    resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                        buffer: &objects,
+                        offset: 0,
+                        size: NonZero::new(OBJECT_BYTES),
+                    }),
                 },
             ],
         });
@@ -57,22 +72,19 @@ impl Records {
 
 /// How records are bound.
 pub(super) fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+    let entry = |binding, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
         binding,
         visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
         ty: wgpu::BindingType::Buffer {
-            ty,
-            has_dynamic_offset: false,
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset,
             min_binding_size: None,
         },
         count: None,
     };
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("records"),
-        entries: &[
-            entry(0, wgpu::BufferBindingType::Uniform),
-            entry(1, wgpu::BufferBindingType::Storage { read_only: true }),
-        ],
+        entries: &[entry(0, false), entry(1, true)],
     })
 }
 

@@ -7,7 +7,7 @@ use wgpu::util::DeviceExt;
 use super::RenderError;
 use super::bake::Paints;
 use super::occlusion::{self, Baked};
-use super::records::{Eye, OBJECT_BYTES, Records, put, put_matrix};
+use super::records::{Eye, OBJECT_STRIDE, Records, put, put_matrix};
 use crate::visual::{Material, Pattern, Visual};
 
 /// Bytes of one vertex: position and normal.
@@ -110,7 +110,7 @@ impl Scene {
             unbaked: Some(visuals.to_vec()),
             indices: filled("indices", &indices, wgpu::BufferUsages::INDEX),
             order: Vec::with_capacity(parts.len()),
-            bytes: Vec::with_capacity(OBJECT_BYTES * parts.len().max(2)),
+            bytes: Vec::with_capacity(OBJECT_STRIDE as usize * parts.len().max(2)),
             parts,
         })
     }
@@ -184,7 +184,9 @@ impl Scene {
         self.order.clear();
         for (index, (part, pose)) in (0_u32..).zip(self.parts.iter().zip(poses)) {
             let eye_from_object = eye.eye_from_scene * pose;
+            let end = self.bytes.len() + OBJECT_STRIDE as usize;
             part.write(&eye_from_object, &mut self.bytes);
+            self.bytes.resize(end, 0);
             self.order
                 .push(((eye_from_object * part.centre).z - part.radius_m, index));
         }
@@ -197,11 +199,12 @@ impl Scene {
         Ok(())
     }
 
-    /// Issues the draws in the order of the last [`Self::place`], with the pipeline that `choose` names for a pattern;
-    /// bind groups, and the pipeline where it names none, are the caller's.
+    /// Issues the draws in the order of the last [`Self::place`], each with its record of `records` and with the pipeline that
+    /// `choose` names for its pattern; other bind groups, and the pipeline where it names none, are the caller's.
     pub(super) fn draw<'a>(
         &self,
         pass: &mut wgpu::RenderPass<'_>,
+        records: &Records,
         choose: impl Fn(Pattern) -> Option<&'a wgpu::RenderPipeline>,
     ) {
         pass.set_vertex_buffer(0, self.vertices.slice(..));
@@ -221,7 +224,8 @@ impl Scene {
                 pass.set_pipeline(pipeline);
                 current = Some(pipeline);
             }
-            pass.draw_indexed(part.indices.clone(), part.base_vertex, index..index + 1);
+            records.bind(pass, index);
+            pass.draw_indexed(part.indices.clone(), part.base_vertex, 0..1);
         }
     }
 }

@@ -57,7 +57,8 @@ struct Object {
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> objects: array<Object>;
+// Of the part that is drawn. As a storage buffer it would be read lane by lane in software.
+@group(0) @binding(1) var<uniform> object: Object;
 @group(1) @binding(0) var shadow_map: texture_depth_2d;
 @group(1) @binding(1) var shadow_sampler: sampler_comparison;
 @group(1) @binding(2) var albedo_map: texture_2d_array<f32>;
@@ -71,9 +72,8 @@ struct Varying {
     @location(2) object_normal: vec3f,
     // Where on its surface the point is, m; it stays the same when the surface is deformed.
     @location(3) unrolled: vec2f,
-    @location(4) @interpolate(flat) object: u32,
     // How open it is to the light from all around, and how much light comes through it.
-    @location(5) baked: vec2f,
+    @location(4) baked: vec2f,
 }
 
 @vertex
@@ -81,11 +81,10 @@ fn scene_vertex(
     @location(0) position: vec3f,
     @location(1) normal: vec3f,
     @location(2) unrolled: vec2f,
-    @builtin(instance_index) object: u32,
 ) -> Varying {
-    let in_camera = objects[object].camera_from_object * vec4f(position, 1.0);
+    let in_camera = object.camera_from_object * vec4f(position, 1.0);
     return Varying(
-        frame.clip_from_camera * in_camera, in_camera.xyz, position, normal, unrolled, object, vec2f(1.0, 0.0)
+        frame.clip_from_camera * in_camera, in_camera.xyz, position, normal, unrolled, vec2f(1.0, 0.0)
     );
 }
 
@@ -96,10 +95,9 @@ fn baked_vertex(
     @location(1) normal: vec3f,
     @location(2) unrolled: vec2f,
     @location(3) baked: vec2f,
-    @builtin(instance_index) object: u32,
 ) -> Varying {
-    let in_camera = objects[object].camera_from_object * vec4f(position, 1.0);
-    return Varying(frame.clip_from_camera * in_camera, in_camera.xyz, position, normal, unrolled, object, baked);
+    let in_camera = object.camera_from_object * vec4f(position, 1.0);
+    return Varying(frame.clip_from_camera * in_camera, in_camera.xyz, position, normal, unrolled, baked);
 }
 
 struct Seen {
@@ -115,9 +113,9 @@ struct Label {
 
 // What is where: the only source of ids and depth, whatever the colours are.
 @vertex
-fn label_vertex(@location(0) position: vec3f, @builtin(instance_index) object: u32) -> Seen {
-    let in_camera = objects[object].camera_from_object * vec4f(position, 1.0);
-    return Seen(frame.clip_from_camera * in_camera, in_camera.z, u32(objects[object].instance));
+fn label_vertex(@location(0) position: vec3f) -> Seen {
+    let in_camera = object.camera_from_object * vec4f(position, 1.0);
+    return Seen(frame.clip_from_camera * in_camera, in_camera.z, u32(object.instance));
 }
 
 @fragment
@@ -127,6 +125,6 @@ fn label_fragment(in: Seen) -> Label {
 
 // The same from the light, whose records say "camera" and mean the light.
 @vertex
-fn shadow_vertex(@location(0) position: vec3f, @builtin(instance_index) object: u32) -> @builtin(position) vec4f {
-    return frame.clip_from_camera * (objects[object].camera_from_object * vec4f(position, 1.0));
+fn shadow_vertex(@location(0) position: vec3f) -> @builtin(position) vec4f {
+    return frame.clip_from_camera * (object.camera_from_object * vec4f(position, 1.0));
 }

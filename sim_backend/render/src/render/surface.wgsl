@@ -25,7 +25,6 @@ fn tilted(n: vec3f, slope: vec2f) -> vec3f {
 
 @fragment
 fn patterned_fragment(in: Varying) -> @location(0) vec4f {
-    let object = objects[in.object];
     let at = in.unrolled / PATTERN_SIZE_M + 0.5;
     let layer = i32(object.layer);
     let painted = textureSample(albedo_map, pattern_sampler, at, layer);
@@ -53,7 +52,6 @@ fn patterned_fragment(in: Varying) -> @location(0) vec4f {
 
 @fragment
 fn smooth_fragment(in: Varying) -> @location(0) vec4f {
-    let object = objects[in.object];
     var s: Surface;
     s.mesh_normal = rotated(object, normalize(in.object_normal));
     s.normal = s.mesh_normal;
@@ -69,7 +67,6 @@ fn smooth_fragment(in: Varying) -> @location(0) vec4f {
 // Machined metal: fine grooves around the object's z axis and slightly uneven polish.
 @fragment
 fn brushed_fragment(in: Varying) -> @location(0) vec4f {
-    let object = objects[in.object];
     let n = normalize(in.object_normal);
     var s: Surface;
     s.mesh_normal = rotated(object, n);
