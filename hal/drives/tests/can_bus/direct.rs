@@ -43,7 +43,7 @@ fn buses_and_shared_memory_are_nobody_elses() {
     let script = format!(
         "set -e
         candump -n 1 -T 50000 vcan1 >/tmp/iceoryx2/heard &
-        until grep -q vcan1 /proc/net/can/rcvlist_all; do sleep 0.05; done
+        until grep -q '^ *vcan1 ' /proc/net/can/rcvlist_all; do sleep 0.05; done
         cansend vcan1 123#11; wait
         cat /tmp/iceoryx2/heard
         touch {mark}; ls /dev/shm"
