@@ -7,8 +7,9 @@ Requirements: Python 3.12, lerobot==0.6.1 with its extras training and diffusion
     cargo build --locked -p trocar
     python tests/scripts/lerobot_diffusion.py target/lerobot-diffusion [--episodes 20] [--steps 300] [--trials 5]
 
-What is tested is that the way works from end to end: a small network after some hundred steps on a processor lifts few needles or none. It
-fails if training's loss does not fall by half, if an evaluation breaks off, or if a chunk is refused.
+What is tested is that the way works from end to end: a small network after some hundred steps on a processor lifts few needles or none; more
+steps, a larger network and a GPU are options. It fails if training's loss does not fall by half, if an evaluation breaks off, or if a chunk is
+refused.
 """
 
 import argparse
@@ -23,7 +24,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 TROCAR = Path(os.environ.get("TROCAR", ROOT / "target/debug/trocar"))
 BESIDE = Path(sys.executable).parent
-SIDE = 96
 FIRST_SEED = 1_000_000
 
 
@@ -40,19 +40,21 @@ def run(name, command, work):
     return said
 
 
-def small_scene(work):
+def small_scene(work, side):
     """The needle lift with small pictures."""
     text = (ROOT / "config/tasks/needle-lift/scene.toml").read_text()
     file = work / "small.toml"
-    file.write_text(re.sub(r"^(width|height) = 512$", rf"\1 = {SIDE}", text, flags=re.M))
+    file.write_text(re.sub(r"^(width|height) = 512$", rf"\1 = {side}", text, flags=re.M))
     return ["--scene", file, "--set", "scene.rendering.shading=plain"]
 
 
-def train(work, demos, steps):
+def train(work, demos, options):
+    steps = options.steps
     command = [BESIDE / "lerobot-train", "--dataset.repo_id=local/demos", f"--dataset.root={demos}", "--policy.type=diffusion"]
-    command += ["--policy.device=cpu", "--policy.push_to_hub=false", "--wandb.enable=false", f"--output_dir={work / 'train'}"]
-    command += [f"--steps={steps}", f"--save_freq={steps}", "--log_freq=10", "--batch_size=8", "--num_workers=0", "--env_eval_freq=0"]
-    command += ["--policy.n_obs_steps=2", "--policy.horizon=32", "--policy.n_action_steps=30", "--policy.down_dims=[128,256]"]
+    command += [f"--policy.device={options.device}", "--policy.push_to_hub=false", "--wandb.enable=false", f"--output_dir={work / 'train'}"]
+    command += [f"--steps={steps}", f"--save_freq={steps}", f"--log_freq={max(steps // 30, 1)}", "--env_eval_freq=0"]
+    command += [f"--batch_size={options.batch}", f"--num_workers={options.workers}"]
+    command += ["--policy.n_obs_steps=2", "--policy.horizon=32", "--policy.n_action_steps=30", f"--policy.down_dims=[{options.dims}]"]
     command += ["--policy.noise_scheduler_type=DDIM", "--policy.num_inference_steps=10", "--policy.optimizer_lr=3e-4"]
     command += ["--policy.pretrained_backbone_weights=null", "--policy.use_group_norm=true"]
     command += ["--policy.scheduler_warmup_steps=50", "--seed=1"]
@@ -81,9 +83,10 @@ def evaluate_served(work, policy, scene, trials):
         print(f"  seed {one['seed']}: {one['reason']}")
 
 
-def evaluate_by_lerobot(work, policy, scene, trials):
+def evaluate_by_lerobot(work, policy, scene, options):
+    trials, side = options.trials, options.side
     command = [BESIDE / "lerobot-eval", f"--policy.path={policy}", "--env.type=trocar", "--env.task=needle-lift"]
-    command += [f"--env.observation_height={SIDE}", f"--env.observation_width={SIDE}", f"--env.options={' '.join(map(str, scene))}"]
+    command += [f"--env.observation_height={side}", f"--env.observation_width={side}", f"--env.options={' '.join(map(str, scene))}"]
     command += [f"--eval.n_episodes={trials}", "--eval.batch_size=1", f"--seed={FIRST_SEED}", f"--output_dir={work / 'lerobot-eval'}"]
     run("lerobot-eval", command, work)
     overall = json.loads((work / "lerobot-eval/eval_info.json").read_text())["overall"]
@@ -96,16 +99,21 @@ def main():
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--trials", type=int, default=5)
+    parser.add_argument("--side", type=int, default=96, help="of the images, pixels")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--workers", type=int, default=0, help="processes that load images")
+    parser.add_argument("--dims", default="128,256", help="channels of the network's levels")
     options = parser.parse_args()
     work = options.work.resolve()
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
-    scene, demos = small_scene(work), work / "demos"
+    scene, demos = small_scene(work, options.side), work / "demos"
     recording = [TROCAR, "record", "--task", "needle-lift", *scene, "--episodes", options.episodes, "--source", "expert", "--out", demos]
     run("record", [*recording, "--instruction", "lift the needle"], work)
-    policy = train(work, demos, options.steps)
+    policy = train(work, demos, options)
     evaluate_served(work, policy, scene, options.trials)
-    evaluate_by_lerobot(work, policy, scene, options.trials)
+    evaluate_by_lerobot(work, policy, scene, options)
     print("all good")
 
 
