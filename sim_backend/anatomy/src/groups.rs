@@ -129,7 +129,7 @@ impl Groups {
     /// The paper's 17 groups with the table of labels `table`: `vista3d`, `totalsegmentator`, `groups`, or a file like these.
     ///
     /// # Errors
-    /// [`ConfigError`] naming file, line and key: no such group, a label twice, a number that is none.
+    /// [`ConfigError`] naming file, line and key: no such group, a label twice, a label that is not a number.
     pub fn load(table: &str) -> Result<Self, ConfigError> {
         let built_in = TABLES.iter().find(|(name, ..)| *name == table);
         let (place, source) = match built_in {

@@ -118,7 +118,7 @@ impl ChunkSource {
         Self::policy(Box::new(network), cameras, every)
     }
 
-    /// Forgets the past; everything random afterwards hangs on `seed`. What is made with its seed is not changed.
+    /// Forgets the past; everything random afterwards depends on `seed`. What is made with its seed is not changed.
     pub fn reset(&mut self, seed: u64) {
         if let Self::Policy(observer) = self {
             observer.policy.reset(seed);

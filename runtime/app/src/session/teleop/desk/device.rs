@@ -256,7 +256,7 @@ impl Device {
             ..DeviceAxes::default()
         };
         let [x, y, z, a, b, c] = self.cap.map(|value| fine(value, CAP_DEAD));
-        // The kernel passes on no 0: a half that springs back falls silent.
+        // The kernel passes on no 0: a half that springs back reports nothing.
         let holds = |told: Option<TimeNs>| told.is_none_or(|told| now.since(told) <= SILENT_NS);
         let [way, turn] = self.told.map(holds);
         // Its axes are x to the right, y towards the person, z down.
