@@ -52,7 +52,7 @@ def train(work, demos, options):
     steps = options.steps
     command = [BESIDE / "lerobot-train", "--dataset.repo_id=local/demos", f"--dataset.root={demos}", "--policy.type=diffusion"]
     command += [f"--policy.device={options.device}", "--policy.push_to_hub=false", "--wandb.enable=false", f"--output_dir={work / 'train'}"]
-    command += [f"--steps={steps}", f"--save_freq={steps}", f"--log_freq={max(steps // 30, 1)}", "--env_eval_freq=0"]
+    command += [f"--steps={steps}", f"--save_freq={steps}", "--log_freq=10", "--env_eval_freq=0"]
     command += [f"--batch_size={options.batch}", f"--num_workers={options.workers}"]
     command += ["--policy.n_obs_steps=2", "--policy.horizon=32", "--policy.n_action_steps=30", f"--policy.down_dims=[{options.dims}]"]
     command += ["--policy.noise_scheduler_type=DDIM", "--policy.num_inference_steps=10", "--policy.optimizer_lr=3e-4"]

@@ -72,7 +72,7 @@ pub enum Shading {
     Full,
     /// For pictures that people look at: edges smoothed over the pixel, tissue with vessels under a wet membrane, into which light
     /// seeps and through which it comes where it is thin, hollows that the light from all around does not reach (both baked by rays
-    /// when it is chosen first). A software rasteriser takes nearly twice as long.
+    /// when it is chosen first). A software rasteriser takes more than twice as long.
     Fine,
     /// Painted colours in the same light without any of these, for about half the cost.
     Plain,

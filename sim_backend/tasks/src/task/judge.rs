@@ -119,7 +119,10 @@ impl fmt::Display for Reason {
             }
             Self::Gained { thing, energy_j } => {
                 let energy_uj = energy_j * 1e6;
-                write!(f, "{thing} gained {energy_uj:.0} uJ without work done on it")
+                write!(
+                    f,
+                    "{thing} gained {energy_uj:.0} uJ without work done on it"
+                )
             }
             Self::Sunk { thing, depth_m } => {
                 let depth_mm = depth_m * 1e3;
