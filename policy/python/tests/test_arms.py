@@ -227,8 +227,8 @@ def test_an_arm_is_measured_commanded_and_left_to_its_stop(name: str, serving: C
 
     # However long this takes, no set-point is too old.
     begin_ns = time.monotonic_ns() + 10**9
-    for period in range(30):
-        last = moving(stamp=begin_ns + period * PERIOD_NS, at=1e-3 * SPEED * period)
+    sent = [moving(stamp=begin_ns + period * PERIOD_NS, at=1e-3 * SPEED * period) for period in range(30)]
+    for last in sent:
         controller.setpoints.publish(last)
         time.sleep(1e-3)
     # The newest set-point comes, and what follows is its stop, period by period, and rest.
@@ -236,6 +236,10 @@ def test_an_arm_is_measured_commanded_and_left_to_its_stop(name: str, serving: C
     until(lambda: arms.commands and arms.commands[-1].stamp_ns > rest_ns)
     # Where it came late, the stop of the one before it was played in its place first.
     taken = max(index for index, command in enumerate(arms.commands) if command.stamp_ns == last.stamp)
+    for command in arms.commands[:taken]:
+        if command.stamp_ns >= last.stamp:
+            stops = [stop_at(one, command.stamp_ns) for one in sent[:-1]]
+            assert any(np.array_equal(command.position, stop.position) for stop in stops)
     played = arms.commands[taken:]
     stamps = [command.stamp_ns for command in played]
     assert stamps == [last.stamp + index * PERIOD_NS for index in range(len(played))]
