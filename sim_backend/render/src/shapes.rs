@@ -27,6 +27,39 @@ fn sheet(mesh: &mut Mesh, rows: &[Vec<(Point3<f64>, Vector3<f64>)>]) {
     }
 }
 
+/// A smooth sheet through rows of points, all of one length; outside is where `u x v` points, with `u` along a row and `v` over the rows.
+#[must_use]
+pub fn smooth_sheet(rows: &[Vec<Point3<f64>>]) -> Mesh {
+    let rate = |row: usize, point: usize, along_row: bool| {
+        let (at, last) = if along_row {
+            (point, rows[row].len() - 1)
+        } else {
+            (row, rows.len() - 1)
+        };
+        let ends = [at.saturating_sub(1), (at + 1).min(last)];
+        let [from, to] = ends.map(|at| {
+            if along_row {
+                rows[row][at]
+            } else {
+                rows[at][point]
+            }
+        });
+        to - from
+    };
+    let vertices = rows.iter().enumerate().map(|(row, points)| {
+        let points = points.iter().enumerate();
+        let vertex = |(point, at): (usize, &Point3<f64>)| {
+            let normal = rate(row, point, true).cross(&rate(row, point, false));
+            (*at, normal.try_normalize(0.0).unwrap_or_else(Vector3::z))
+        };
+        points.map(vertex).collect()
+    });
+    let vertices: Vec<Vec<(Point3<f64>, Vector3<f64>)>> = vertices.collect();
+    let mut mesh = Mesh::default();
+    sheet(&mut mesh, &vertices);
+    mesh
+}
+
 /// `mesh` moved by `pose`, in the frame that `pose` is in.
 #[must_use]
 #[expect(

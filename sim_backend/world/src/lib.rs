@@ -13,5 +13,5 @@ mod shipped;
 
 pub use world::{
     ArmBodies, ArmStart, Collider, CollisionMask, FINGER_THICKNESS_M, Flap, Grasp, Ground,
-    REST_M_S, RigidBody, Scenery, Shape, Surface, World, WorldConfig,
+    REST_M_S, RigidBody, Scenery, Shape, SoftOrgan, Surface, World, WorldConfig,
 };

@@ -47,6 +47,11 @@ impl Bed {
         }
     }
 
+    /// Whether its heights were measured.
+    pub(super) const fn is_measured(&self) -> bool {
+        self.ground.is_measured()
+    }
+
     /// Height of the bare ground, m.
     pub(super) fn height_m(&self, x: f64, y: f64) -> Option<f64> {
         self.ground.height_m(x, y)

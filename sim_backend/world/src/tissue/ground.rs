@@ -45,6 +45,7 @@ pub struct Ground {
     spacing_m: [f64; 2],
     points: [usize; 2],
     heights_m: Vec<f64>,
+    is_measured: bool,
 }
 
 /// The plane that stands for the ground under one node.
@@ -103,6 +104,7 @@ impl Ground {
             spacing_m,
             points,
             heights_m,
+            is_measured: false,
         }
     }
 
@@ -118,6 +120,7 @@ impl Ground {
             spacing_m: [spacing_m; 2],
             points,
             heights_m,
+            is_measured: true,
         }
     }
 
@@ -129,7 +132,13 @@ impl Ground {
             spacing_m: [1.0; 2],
             points: [0; 2],
             heights_m: Vec::new(),
+            is_measured: false,
         }
+    }
+
+    /// Whether its heights were measured: it may be steep where a made up one is nearly level.
+    pub(super) const fn is_measured(&self) -> bool {
+        self.is_measured
     }
 
     /// Height of the surface over (`x`, `y`) in the scene, m; none beyond the rectangle.

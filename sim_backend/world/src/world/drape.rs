@@ -21,7 +21,9 @@ impl Drape {
     pub(super) fn new(flap: &Flap, ground: &Ground, arms: &[ArmUnit]) -> Self {
         let bed = match ground {
             Ground::Bed(bed) => bed.clone(),
-            Ground::Organ(_) | Ground::Solids(_) => tissue::Ground::none(),
+            Ground::Organ(_) | Ground::Solids(_) | Ground::OrganWithSolids(..) => {
+                tissue::Ground::none()
+            }
         };
         let jaws: Vec<JawInput> = arms.iter().map(ArmUnit::jaw_input).collect();
         Self {

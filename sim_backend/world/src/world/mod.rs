@@ -26,7 +26,7 @@ use stage::{Stage, TOUCH_N};
 
 pub use arm::{ArmBodies, ArmStart};
 pub use config::{Surface, WorldConfig};
-pub use scenery::{Collider, CollisionMask, Flap, Ground, RigidBody, Scenery, Shape};
+pub use scenery::{Collider, CollisionMask, Flap, Ground, RigidBody, Scenery, Shape, SoftOrgan};
 pub use shapes::FINGER_THICKNESS_M;
 pub use thing::REST_M_S;
 

@@ -3,6 +3,7 @@
 use hal::Pose;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
+use super::config::Surface;
 use crate::needle::{NeedleShape, ratio};
 use crate::organ::Organ;
 use crate::tissue::{self, TissueConfig};
@@ -58,9 +59,9 @@ pub struct Collider {
 pub enum CollisionMask {
     /// Fingers and wrists.
     Instrument,
-    /// The ground.
+    /// The ground. Soft ground meets no others, and of these the ball around them.
     Ground,
-    /// Both.
+    /// Fingers, wrists and hard ground.
     Both,
 }
 
@@ -103,6 +104,19 @@ pub enum Ground {
     Solids(Vec<Shape>),
     /// A soft organ with a rim, for a flap to lie on, a spring contact for the instrument; things fall through.
     Bed(tissue::Ground),
+    /// A soft organ with hard solids that stand on it.
+    OrganWithSolids(SoftOrgan, Vec<Shape>),
+}
+
+/// A soft organ whose contact is not that of the world's ground, which is hard.
+#[derive(Clone, Debug)]
+pub struct SoftOrgan {
+    /// Where it is.
+    pub organ: Organ,
+    /// Contact of each ball of a thing.
+    pub ground: Surface,
+    /// Contact of each sample point of the instrument.
+    pub press: Surface,
 }
 
 /// Length of the capsules that make up the needle, m, at most.
@@ -118,12 +132,21 @@ impl RigidBody {
     /// A needle as a chain of capsules for fingers and hard ground alike.
     #[must_use]
     pub fn bare_needle(shape: &NeedleShape, in_scene: Pose) -> Self {
-        let mut needle = Self::needle(shape, in_scene);
+        let mut needle = Self::sutured_needle(shape, in_scene);
         needle
             .pieces
-            .retain(|piece| piece.meets == CollisionMask::Instrument);
+            .retain(|piece| piece.meets == CollisionMask::Both);
+        needle
+    }
+
+    /// A needle as a chain of capsules for fingers and hard ground alike, and of balls for the tissue.
+    #[must_use]
+    pub fn sutured_needle(shape: &NeedleShape, in_scene: Pose) -> Self {
+        let mut needle = Self::needle(shape, in_scene);
         for piece in &mut needle.pieces {
-            piece.meets = CollisionMask::Both;
+            if piece.meets == CollisionMask::Instrument {
+                piece.meets = CollisionMask::Both;
+            }
         }
         needle
     }

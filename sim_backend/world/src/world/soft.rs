@@ -47,7 +47,16 @@ pub(super) fn meet(
     reach_m: f64,
 ) -> Option<Found> {
     match ground {
-        Ground::Organ(Organ::Rolling(organ)) => {
+        Ground::Organ(organ) => meet_organ(organ, centre, radius_m, reach_m),
+        Ground::OrganWithSolids(soft, _) => meet_organ(&soft.organ, centre, radius_m, reach_m),
+        Ground::Bed(bed) => meet_surface(bed, centre, radius_m, reach_m),
+        Ground::Solids(_) => None,
+    }
+}
+
+fn meet_organ(organ: &Organ, centre: &Vector3<f64>, radius_m: f64, reach_m: f64) -> Option<Found> {
+    match organ {
+        Organ::Rolling(organ) => {
             // No wave is higher than this, so most points are far above.
             if centre.z - radius_m - organ.amplitude_m > reach_m {
                 return None;
@@ -55,9 +64,7 @@ pub(super) fn meet(
             meet_surface(organ, centre, radius_m, reach_m)
                 .or_else(|| meet_table(centre, radius_m, reach_m))
         }
-        Ground::Organ(Organ::Measured(table)) => meet_surface(&**table, centre, radius_m, reach_m),
-        Ground::Bed(bed) => meet_surface(bed, centre, radius_m, reach_m),
-        Ground::Solids(_) => None,
+        Organ::Measured(table) => meet_surface(&**table, centre, radius_m, reach_m),
     }
 }
 

@@ -49,8 +49,10 @@ struct ThingOnStage {
 /// Everything rigid but the arms' drives.
 pub(super) struct Stage {
     grip: Surface,
-    ground_surface: Surface,
-    press: Surface,
+    /// Contact of hard ground with things and with instruments.
+    hard: [Surface; 2],
+    /// Contact of soft ground with things and with instruments, if there is any.
+    soft: Option<[Surface; 2]>,
     gravity: Vector3<f64>,
     ground: Ground,
     solids: Vec<Body>,
@@ -70,8 +72,11 @@ impl Stage {
     pub(super) fn new(config: &WorldConfig, scenery: &Scenery, arm_count: usize) -> Self {
         let solids = match &scenery.ground {
             Ground::Organ(_) | Ground::Bed(_) => Vec::new(),
-            Ground::Solids(solids) => solids.iter().map(Body::of).collect(),
+            Ground::Solids(solids) | Ground::OrganWithSolids(_, solids) => {
+                solids.iter().map(Body::of).collect()
+            }
         };
+        let (hard, soft) = ([config.ground, config.press], soft_contact(config, scenery));
         let things = scenery.things.iter().map(|thing| ThingOnStage {
             moving: Moving::new(thing),
             pieces: thing
@@ -91,8 +96,8 @@ impl Stage {
         });
         Self {
             grip: config.grip,
-            ground_surface: config.ground,
-            press: config.press,
+            hard,
+            soft,
             gravity: Vector3::new(0.0, 0.0, -config.gravity_m_s2),
             ground: scenery.ground.clone(),
             solids,
@@ -266,6 +271,15 @@ impl Stage {
                 self.things[thing].moving.advance(&found[at..], step_s);
             }
         }
+    }
+}
+
+/// Contact of soft ground with things and with instruments; none where all ground is hard.
+fn soft_contact(config: &WorldConfig, scenery: &Scenery) -> Option<[Surface; 2]> {
+    match &scenery.ground {
+        Ground::Organ(_) | Ground::Bed(_) => Some([config.ground, config.press]),
+        Ground::OrganWithSolids(soft, _) => Some([soft.ground, soft.press]),
+        Ground::Solids(_) => None,
     }
 }
 

@@ -370,6 +370,7 @@ fn scripted_commands_end_in_the_known_state() {
 
 mod energy;
 mod load;
+mod mixed;
 mod mujoco;
 mod rest;
 mod sleep;

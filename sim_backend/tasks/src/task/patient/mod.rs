@@ -2,10 +2,11 @@
 //! `DIR` the ground of a task.
 //!
 //! The patient is turned so that the flattest patch on the organ's front faces the instruments, the head away from the viewer, and raised
-//! so that the patch is 5 mm above the scene's z = 0 in the mean. The organ is rounded between its vertices, once for physics and pictures
+//! so that the patch is where the task has its ground. The organ is rounded between its vertices, once for physics and pictures
 //! alike: what is felt is a table of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in
 //! the way.
 
+mod incision;
 mod looks;
 mod neighbours;
 mod patch;
@@ -18,18 +19,24 @@ use std::sync::Arc;
 
 use hal::config::{ConfigError, Source};
 use hal::{Mesh, Pose};
+use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_anatomy::assets::{self, Part};
 use trocar_render::shapes::placed;
-use trocar_render::visual::{Backdrop, Visual, instance};
+use trocar_render::visual::{Backdrop, Material, Visual, instance};
 use trocar_world::organ::{Organ, OrganShape};
+use trocar_world::tissue::Ground;
 
+pub(super) use incision::Incision;
 pub use looks::tissue_material;
 use patch::Patch;
 use relief::Relief;
 
 /// Distance of the points of the table of heights, m.
 const SPACING_M: f64 = 0.000_5;
+
+/// Mean height of the patch that a needle is lifted from, m: workspaces end 5 mm below z = 0, and an organ falls off around the patch.
+const RAISED_M: f64 = 0.005;
 
 /// Height of the floor behind the organs, m: organs are higher than the slabs of the other scenes.
 const FLOOR_M: f64 = -0.060;
@@ -65,17 +72,27 @@ pub struct Patient {
     /// How it lies there.
     pub lie: PatientPlacement,
     /// The organ as physics has it, scene frame.
-    pub organ: Organ,
+    pub organ: Arc<Ground>,
     visuals: Vec<Visual>,
 }
 
+/// What a task needs of the organ.
+pub(super) struct Site {
+    /// Half the size of the rectangle about the origin over which it is felt, m.
+    pub(super) half_m: [f64; 2],
+    /// Where the middle of its patch lies, scene x and y, and the patch's mean height, m.
+    pub(super) centre_m: [f64; 3],
+    /// Where it is cut.
+    pub(super) incision: Option<Incision>,
+}
+
 impl SceneFile {
-    /// Reads the patient and lays it under the instruments. The organ is felt over the rectangle of `extent`.
+    /// Reads the patient and lays it under the instruments.
     ///
     /// # Errors
     /// [`ConfigError::Refused`] if there is no patient in the folder, its file is damaged, or no patch of the organ is fit to work on;
     /// [`ConfigError::OutOfRange`] if it has no such organ.
-    fn load(&self, source: &Source, extent: &OrganShape) -> Result<Patient, ConfigError> {
+    pub(super) fn load(&self, source: &Source, site: &Site) -> Result<Patient, ConfigError> {
         let parts = assets::read(Path::new(&self.patient));
         let parts = parts
             .map_err(|error| source.refused("scene.patient", &self.patient, &error.to_string()))?;
@@ -83,15 +100,18 @@ impl SceneFile {
             let names: Vec<&str> = parts.iter().map(|part| part.name.as_str()).collect();
             return Err(source.out_of_range("scene.organ", &self.organ, &names.join(", ")));
         };
-        let patch = Patch::choose(&organ.mesh)
+        let patch = Patch::choose(&organ.mesh, site.centre_m)
             .map_err(|reason| source.refused("scene.organ", &self.organ, &reason))?;
         let drawn = placed(organ.mesh.clone(), &patch.scene_from_scan);
-        let half_m = [0.5 * extent.length_m, 0.5 * extent.width_m];
-        let drawn = rounding::rounded(drawn, half_m);
-        let table = Relief::of(&drawn, &Pose::identity(), half_m, SPACING_M).table();
+        let mut drawn = rounding::rounded(drawn, site.half_m);
+        if let Some(incision) = &site.incision {
+            drawn = rounding::finer(drawn, |at| incision.edge_m(at));
+            incision.cut(&mut drawn);
+        }
+        let table = Relief::of(&drawn, &Pose::identity(), site.half_m, SPACING_M).table();
         Ok(Patient {
-            lie: self.lie(&patch),
-            organ: Organ::Measured(Arc::new(table)),
+            lie: self.lie(&patch, site),
+            organ: Arc::new(table),
             visuals: self.visuals(&parts, drawn, &patch.scene_from_scan),
         })
     }
@@ -106,13 +126,15 @@ impl SceneFile {
         organ.chain(around).map(Visual::still).collect()
     }
 
-    fn lie(&self, patch: &Patch) -> PatientPlacement {
+    fn lie(&self, patch: &Patch, site: &Site) -> PatientPlacement {
         let scan_from_scene = patch.scene_from_scan.inverse();
+        let [x, y, _] = site.centre_m;
+        let middle = scan_from_scene * Point3::new(x, y, 0.0);
         let turn = scan_from_scene.rotation.to_rotation_matrix();
         PatientPlacement {
             patient: self.patient.clone(),
             organ: self.organ.clone(),
-            patch_in_scan_m: scan_from_scene.translation.vector.into(),
+            patch_in_scan_m: middle.into(),
             axes_in_scan: turn.into_inner().into(),
             roughness_m: patch.roughness_m,
         }
@@ -145,8 +167,26 @@ pub(super) fn ground(
     let Some(scene) = scene else {
         return Ok((Organ::Rolling(shape), None));
     };
-    let patient = scene.load(source, &shape)?;
-    Ok((patient.organ.clone(), Some(Arc::new(patient))))
+    let site = Site {
+        half_m: [0.5 * shape.length_m, 0.5 * shape.width_m],
+        centre_m: [0.0, 0.0, RAISED_M],
+        incision: None,
+    };
+    let patient = scene.load(source, &site)?;
+    let organ = Organ::Measured(Arc::clone(&patient.organ));
+    Ok((organ, Some(Arc::new(patient))))
+}
+
+impl Patient {
+    /// What there is to see of it, the organ first, all in the scene frame.
+    pub(super) fn visuals_in_scene(&self) -> Vec<Visual> {
+        self.visuals.clone()
+    }
+
+    /// The surface of the organ.
+    pub(super) fn material(&self) -> Material {
+        self.visuals[0].material
+    }
 }
 
 /// What there is to see of the ground, the organ first, all in the scene frame: the patient's, or what `made_up` draws.
@@ -156,7 +196,7 @@ pub(super) fn visuals(
     made_up: impl Fn(&OrganShape) -> Visual,
 ) -> Vec<Visual> {
     match (patient, organ) {
-        (Some(patient), _) => patient.visuals.clone(),
+        (Some(patient), _) => patient.visuals_in_scene(),
         (None, Organ::Rolling(shape)) => vec![made_up(shape)],
         (None, Organ::Measured(_)) => Vec::new(),
     }
@@ -164,10 +204,14 @@ pub(super) fn visuals(
 
 /// Poses of these visuals, and of the one thing that lies on the organ.
 pub(super) fn poses(patient: Option<&Patient>, thing: Pose) -> Vec<Pose> {
-    let still = patient.map_or(1, |patient| patient.visuals.len());
-    iter::repeat_n(Pose::identity(), still)
+    iter::repeat_n(Pose::identity(), count(patient, 1))
         .chain([thing])
         .collect()
+}
+
+/// How many visuals show the patient, or `made_up` without one.
+pub(super) fn count(patient: Option<&Patient>, made_up: usize) -> usize {
+    patient.map_or(made_up, |patient| patient.visuals.len())
 }
 
 /// What is behind a patient, or else `made_up`.

@@ -12,8 +12,6 @@ const AROUND_M: f64 = 0.060;
 const STANDS_UP_M: f64 = 0.015;
 /// Distance of the heights that a place is judged by, m.
 const SPACING_M: f64 = 0.004;
-/// Mean height of the patch in the scene, m: workspaces end 5 mm below z = 0, and an organ falls off around the patch.
-const RAISED_M: f64 = 0.005;
 /// Cosine of the greatest angle between the surface and the patient's front: instruments come in through the belly.
 const FRONT_MIN: f64 = 0.5;
 /// Most places that are looked at.
@@ -29,11 +27,12 @@ pub(super) struct Patch {
 }
 
 impl Patch {
-    /// The flattest place on the front of the organ `mesh` (RAS, m); the same for the same mesh.
+    /// The flattest place on the front of the organ `mesh` (RAS, m), its middle at `centre_m` in the scene, in height in
+    /// the mean; the same for the same mesh.
     ///
     /// # Errors
     /// Why there is none.
-    pub(super) fn choose(mesh: &Mesh) -> Result<Self, String> {
+    pub(super) fn choose(mesh: &Mesh, centre_m: [f64; 3]) -> Result<Self, String> {
         let extent_m = extent_m(mesh);
         if extent_m > ORGAN_M_MAX {
             let size = format!("it is {extent_m:.2} m long, of at most {ORGAN_M_MAX} m");
@@ -44,7 +43,7 @@ impl Patch {
             .collect();
         let step = front.len().div_ceil(PLACES_MAX).max(1);
         let patches = front.iter().step_by(step);
-        let patches = patches.filter_map(|(at, normal)| Self::at(mesh, at, normal));
+        let patches = patches.filter_map(|(at, normal)| Self::at(mesh, at, normal, centre_m));
         let best = patches.reduce(|best, patch| {
             if patch.roughness_m < best.roughness_m {
                 patch
@@ -56,8 +55,13 @@ impl Patch {
         best.ok_or_else(|| format!("no place on its front has {radius_mm:.0} mm of surface around it and nothing beside that stands up"))
     }
 
-    /// The place `at` with the outward `normal`; none if the organ does not reach all around.
-    fn at(mesh: &Mesh, at: &Point3<f64>, normal: &Vector3<f64>) -> Option<Self> {
+    /// The place `at` with the outward `normal`, at `centre_m` in the scene; none if the organ does not reach all around.
+    fn at(
+        mesh: &Mesh,
+        at: &Point3<f64>,
+        normal: &Vector3<f64>,
+        centre_m: [f64; 3],
+    ) -> Option<Self> {
         let facing = facing(at, normal);
         let relief = Relief::of(mesh, &facing, [AROUND_M; 2], SPACING_M);
         let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
@@ -72,8 +76,9 @@ impl Patch {
         }
         let mean_m: f64 = sum / count;
         let roughness_m = (squares / count - mean_m * mean_m).max(0.0).sqrt();
+        let [x, y, z] = centre_m;
         mean_m.is_finite().then(|| Self {
-            scene_from_scan: Translation3::new(0.0, 0.0, RAISED_M - mean_m) * facing,
+            scene_from_scan: Translation3::new(x, y, z - mean_m) * facing,
             roughness_m,
         })
     }

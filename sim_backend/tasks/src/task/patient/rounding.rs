@@ -18,10 +18,18 @@ const DEEP_M: f64 = -0.08;
 /// `mesh` (scene frame) with shorter edges over the rectangle of `half_m` about the origin. The middle of an edge is that of the cubic curve
 /// that stands on the normals at its ends (Vlachos et al., "Curved PN triangles", 2001), so it depends on the edge alone: what was closed
 /// stays closed.
-pub(super) fn rounded(mut mesh: Mesh, half_m: [f64; 2]) -> Mesh {
+pub(super) fn rounded(mesh: Mesh, half_m: [f64; 2]) -> Mesh {
+    finer(mesh, |at| {
+        let inside = (0..2).all(|axis| at[axis].abs() <= half_m[axis] + BEYOND_M);
+        (inside && at.z >= DEEP_M).then_some(EDGE_M)
+    })
+}
+
+/// `mesh` (scene frame), rounded in the same way, with edges that are no longer than `edge_m` says of their middles.
+pub(super) fn finer(mut mesh: Mesh, edge_m: impl Fn(&Point3<f64>) -> Option<f64>) -> Mesh {
     for _ in 0..ROUNDS {
         let before = mesh.indices.len();
-        mesh = halved(mesh, half_m);
+        mesh = halved(mesh, &edge_m);
         if mesh.indices.len() == before {
             break;
         }
@@ -29,13 +37,13 @@ pub(super) fn rounded(mut mesh: Mesh, half_m: [f64; 2]) -> Mesh {
     mesh
 }
 
-fn halved(mut mesh: Mesh, half_m: [f64; 2]) -> Mesh {
+fn halved(mut mesh: Mesh, edge_m: impl Fn(&Point3<f64>) -> Option<f64>) -> Mesh {
     let mut middles = BTreeMap::new();
     let faces = std::mem::take(&mut mesh.indices);
     for corners in faces.as_chunks::<3>().0 {
         let [a, b, c] = *corners;
         let split =
-            [[a, b], [b, c], [c, a]].map(|edge| middle(&mut mesh, &mut middles, edge, half_m));
+            [[a, b], [b, c], [c, a]].map(|edge| middle(&mut mesh, &mut middles, edge, &edge_m));
         divide(&mut mesh.indices, *corners, split);
     }
     mesh
@@ -65,12 +73,12 @@ fn divide(indices: &mut Vec<u32>, corners: [u32; 3], split: [Option<u32>; 3]) {
     }
 }
 
-/// The vertex in the middle of an edge, if that is long and lies where one works.
+/// The vertex in the middle of an edge, if that is longer than `edge_m` says.
 fn middle(
     mesh: &mut Mesh,
     known: &mut BTreeMap<[u32; 2], Option<u32>>,
     [a, b]: [u32; 2],
-    half_m: [f64; 2],
+    edge_m: impl Fn(&Point3<f64>) -> Option<f64>,
 ) -> Option<u32> {
     let edge = [a.min(b), a.max(b)];
     *known.entry(edge).or_insert_with(|| {
@@ -79,8 +87,7 @@ fn middle(
             edge.map(|end| Vector3::from(mesh.normals[end as usize].map(f64::from)));
         let along = to - from;
         let straight = from + 0.5 * along;
-        let inside = (0..2).all(|axis| straight[axis].abs() <= half_m[axis] + BEYOND_M);
-        if along.norm() <= EDGE_M || !inside || straight.z < DEEP_M {
+        if along.norm() <= edge_m(&straight)? {
             return None;
         }
         let lift = (left * along.dot(&left) - right * along.dot(&right)) / 8.0;

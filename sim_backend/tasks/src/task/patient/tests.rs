@@ -3,6 +3,7 @@
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use hal::config::Source;
 use hal::count::count_u32;
@@ -13,10 +14,13 @@ use trocar_anatomy::groups::Groups;
 use trocar_anatomy::phantom::{self, Size};
 use trocar_render::visual::instance;
 use trocar_world::organ::Organ;
+use trocar_world::{Ground, World};
 
 use crate::closed_loop;
 use crate::task::needle_lift::NeedleLift;
-use crate::task::{Outcome, TaskConfig, TaskFiles};
+use crate::task::suture_pad::SuturePad;
+use crate::task::tissue_retraction::TissueRetraction;
+use crate::task::{Outcome, TaskConfig, TaskFiles, TaskScene};
 
 /// A folder with a patient of a coarse grid, gone when this is.
 struct Folder(PathBuf);
@@ -72,7 +76,12 @@ impl Folder {
 #[test]
 fn experts_work_on_a_patients_liver() {
     let folder = Folder::with_patient("work");
-    for (name, seeds) in [("needle-lift", 6), ("needle-handover", 3)] {
+    for (name, seeds) in [
+        ("needle-lift", 6),
+        ("needle-handover", 3),
+        ("tissue-retraction", 6),
+        ("suture-pad", 6),
+    ] {
         let task = folder.task(name);
         let outcome = |seed| closed_loop::run(&task, seed, |_, _| {}).outcome;
         let outcomes: Vec<Outcome> = (0..seeds).map(outcome).collect();
@@ -192,4 +201,97 @@ fn what_is_no_patient_is_refused_with_file_and_key() {
     fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     let cut = folder.refused("liver");
     assert!(cut.contains("patient.glb: it has not the length"), "{cut}");
+}
+
+/// What is felt of an incision is what is drawn, and the flap stands out over it, so that a finger fits under its free edge.
+#[test]
+fn a_flap_of_a_liver_stands_out_over_its_incision() {
+    let folder = Folder::with_patient("flap");
+    let task = folder.task("tissue-retraction");
+    let scene = task.scene::<TissueRetraction>().unwrap();
+    let scenery = scene.scenery(0);
+    let Ground::Bed(bed) = &scenery.ground else {
+        panic!("{:?}", scenery.ground);
+    };
+    let visuals = task.scene.visuals();
+    let (liver, flap) = (&visuals[0], &visuals[visuals.len() - 2]);
+    assert_eq!((liver.name, flap.name), ("liver", "flap"));
+    assert_eq!(flap.material.base_colour, liver.material.base_colour);
+    let before =
+        |p: &&[f32; 3]| p[0].abs() < 0.03 && (-0.036..-0.016).contains(&p[1]) && p[2] > -0.03;
+    let drawn: Vec<_> = liver.mesh.positions.iter().filter(before).collect();
+    assert!(drawn.len() > 1000, "{}", drawn.len());
+    for p in drawn {
+        let [x, y, z] = p.map(f64::from);
+        let apart_m = bed.height_m(x, y).unwrap() - z;
+        // The table's heights are 0.5 mm apart.
+        assert!(apart_m.abs() < 5e-4, "{apart_m} at {x}, {y}");
+    }
+    let world = World::new(&task.world, &scenery, &task.arms);
+    let sheet = world.tissue().unwrap().sheet();
+    let [columns, rows] = sheet.nodes();
+    for column in 0..columns {
+        let free = sheet.positions()[sheet.node(column, rows - 1)];
+        let gap_m = free.z - bed.height_m(free.x, free.y).unwrap();
+        assert!(gap_m > 0.004, "{gap_m} at {free}");
+        let attached = sheet.positions()[sheet.node(column, 0)];
+        let gap_m = attached.z - bed.height_m(attached.x, attached.y).unwrap();
+        assert!(gap_m < 0.002, "{gap_m} at {attached}");
+    }
+}
+
+/// The needle of a suture lies on the liver, before the fold, whose foot is in it everywhere.
+#[test]
+fn a_needle_lies_on_a_liver_before_its_fold() {
+    let folder = Folder::with_patient("fold");
+    let task = folder.task("suture-pad");
+    let scene = task.scene::<SuturePad>().unwrap();
+    let patient = scene.patient.as_deref().unwrap();
+    let organ = Organ::Measured(Arc::clone(&patient.organ));
+    for seed in 0..20 {
+        let scenery = scene.scenery(seed);
+        let lies = scenery.things[0].in_scene;
+        let wire = scene.needle.centre_line(41).into_iter();
+        let gaps_m = wire.map(|point| {
+            let point = lies * point;
+            assert!(point.y < scene.pad.lip_front_m, "seed {seed}: {point}");
+            point.z - organ.height_m(point.x, point.y) - scene.needle.wire_radius_m
+        });
+        let least_m = gaps_m.fold(f64::INFINITY, f64::min);
+        assert!((0.0..0.000_3).contains(&least_m), "seed {seed}: {least_m}");
+        // It tips until it rests on three places, and stays there.
+        let mut world = World::new(&task.world, &scenery, &task.arms);
+        let mut later = |steps: u32| {
+            (0..steps).for_each(|_| world.step());
+            world.thing_in_scene(0)
+        };
+        let (rests, stays) = (later(1500), later(500));
+        let tipped = (rests.translation.vector - lies.translation.vector).norm();
+        assert!(tipped < 0.004, "seed {seed}: {tipped}");
+        let crept = rests.inv_mul(&stays).translation.vector.norm();
+        assert!(crept < 5e-5, "seed {seed}: {crept}");
+    }
+    let visuals = task.scene.visuals();
+    let fold = visuals.iter().find(|visual| visual.name == "fold").unwrap();
+    assert_eq!(fold.material.base_colour, visuals[0].material.base_colour);
+    for x in [-0.02, -0.01, 0.0, 0.01, 0.02] {
+        let height_m = organ.height_m(x, scene.pad.hole().y);
+        assert!((-0.028..0.007).contains(&height_m), "{height_m} at {x}");
+    }
+}
+
+/// A hole that the organ covers is refused.
+#[test]
+fn a_fold_whose_hole_is_in_the_liver_is_refused() {
+    let folder = Folder::with_patient("hole");
+    let text = folder
+        .scene("suture-pad", "liver")
+        .text()
+        .replace("hole_height_m = 0.009", "hole_height_m = 0.002");
+    let refused = TaskConfig::parse("suture-pad", &Source::embedded("low.toml", &text));
+    let refused = refused.unwrap_err().to_string();
+    assert!(
+        refused.contains("scene.organ") && refused.contains("below the fold's hole"),
+        "{refused}"
+    );
 }

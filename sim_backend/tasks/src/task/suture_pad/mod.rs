@@ -1,10 +1,15 @@
 //! Suture pad: one arm grasps a needle that lies on a pad and drives it through the hole in the pad's lip.
+//!
+//! On a patient the lip is a fold of an organ, on which the needle lies.
 
+mod fold;
 mod pad;
 mod script;
 mod success;
 
 use core::f64::consts::PI;
+use core::iter;
+use std::sync::Arc;
 
 use hal::Pose;
 use hal::config::{ConfigError, Source};
@@ -12,15 +17,19 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use trocar_render::visual::{Backdrop, Material, Pattern, Visual, instance};
 use trocar_world::needle::NeedleShape;
+use trocar_world::organ::Organ;
 use trocar_world::rng::Rng;
-use trocar_world::{ArmStart, Ground, RigidBody, Scenery, WorldConfig};
+use trocar_world::{ArmStart, Ground, RigidBody, Scenery, SoftOrgan, Surface, WorldConfig};
 
+use fold::Fold;
 pub use pad::PadShape;
 use script::Driver;
 pub use success::SuccessConfig;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
+use super::needle_start::NeedleStart;
+use super::patient::{self, Patient, SceneFile, Site};
 use super::visuals::NEEDLE_STEEL;
 use super::{CameraConfig, Kind, Monitor, Parsed, TaskScene};
 use crate::script::AnyScript;
@@ -38,6 +47,26 @@ pub(super) const KIND: Kind = Kind {
 
 /// How far above the pad the needle is let go, m: it must not start inside.
 const DROP_M: f64 = 0.000_1;
+
+/// Mean height of a patient's patch, m: the workspace ends 3 mm below z = 0, and the lip's hole is from 7 mm on.
+const RAISED_M: f64 = 0.003;
+
+/// How far before and behind a fold's hole the organ must be below it, m.
+const WAY_M: f64 = 0.010;
+
+/// Contact with a patient's organ, of each of the needle's balls and of each sample point of the instrument, as in the needle lift.
+const ON_ORGAN: Surface = Surface {
+    stiffness_n_m: 150.0,
+    damping_n_s_m: 0.3,
+    friction: 0.5,
+    patch_m: 0.0,
+};
+const PRESSED: Surface = Surface {
+    stiffness_n_m: 800.0,
+    damping_n_s_m: 4.0,
+    friction: 0.3,
+    patch_m: 0.0,
+};
 
 /// Silicone of one colour.
 const fn silicone(base_colour: [f32; 3], pattern: Pattern) -> Material {
@@ -59,6 +88,9 @@ const LAYERS: [(&str, Material); 4] = [
     ("ink", silicone([0.015, 0.02, 0.07], Pattern::Smooth)),
 ];
 
+/// How many visuals a fold of a patient's organ has: itself and the ink.
+const FOLD_VISUALS: usize = 2;
+
 /// The scene of a suture pad.
 #[derive(Clone, Debug)]
 pub struct SuturePad {
@@ -68,6 +100,8 @@ pub struct SuturePad {
     pub start: PadStart,
     /// The pad.
     pub pad: PadShape,
+    /// Whose organ has a fold in the place of its lip, if it is a patient's.
+    pub patient: Option<Arc<Patient>>,
     /// What counts as success.
     pub success: SuccessConfig,
 }
@@ -91,6 +125,7 @@ pub struct PadStart {
 struct File {
     #[serde(rename = "task")]
     _task: TitleFile,
+    scene: Option<SceneFile>,
     episode: EpisodeFile,
     arm: Vec<ArmFile>,
     needle: NeedleShape,
@@ -120,13 +155,55 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
         rendering: file.rendering,
         episode: file.episode,
     };
+    let patient = file.scene.as_ref().map(|scene| {
+        let site = site(&file.pad, &file.needle_start, &file.needle);
+        Ok(Arc::new(scene.load(source, &site)?))
+    });
+    let patient = patient.transpose()?;
+    if let Some(patient) = &patient {
+        let (start, organ) = (file.needle_start.on_organ(&file.needle), organ_of(patient));
+        start.check_on(source, &file.needle, &organ)?;
+        check_hole(source, &file.pad, &organ)?;
+    }
     let scene = SuturePad {
+        patient,
         needle: file.needle,
         start: file.needle_start,
         pad: file.pad,
         success: file.success,
     };
     Ok((common, Box::new(scene)))
+}
+
+/// What the scene needs of a patient's organ: what the pad covers, the flattest between needles and fold.
+fn site(pad: &PadShape, start: &PadStart, needle: &NeedleShape) -> Site {
+    let arc = start.on_organ(needle);
+    let y = 0.5 * (pad.lip_front_m + arc.centre_m[1]);
+    Site {
+        half_m: [0.5 * pad.length_m, 0.5 * pad.width_m],
+        centre_m: [arc.centre_m[0], y, RAISED_M],
+        incision: None,
+    }
+}
+
+/// Checks that the hole of a fold is above `organ`, from which a needle comes and where it goes.
+fn check_hole(source: &Source, pad: &PadShape, organ: &Organ) -> Result<(), ConfigError> {
+    let below_m = pad.hole_height_m - pad.hole_half_m;
+    let ways_m = [-WAY_M, 0.0, WAY_M].map(|way_m| pad.hole().y + way_m);
+    let highest_m = ways_m.map(|y| organ.height_m(0.0, y));
+    let highest_m = highest_m.into_iter().fold(f64::NEG_INFINITY, f64::max);
+    let highest = format!("a surface at z = {highest_m:.4} m");
+    let allowed = format!("below the fold's hole, at most {below_m} m");
+    if highest_m <= below_m {
+        Ok(())
+    } else {
+        Err(source.out_of_range("scene.organ", &highest, &allowed))
+    }
+}
+
+/// A patient's organ as things meet it.
+fn organ_of(patient: &Patient) -> Organ {
+    Organ::Measured(Arc::clone(&patient.organ))
 }
 
 impl PadStart {
@@ -139,6 +216,18 @@ impl PadStart {
         source.check_range(&format!("{key}.yaw_rad"), self.yaw_rad, -PI, PI)?;
         let jitter = self.yaw_jitter_rad;
         source.check_range(&format!("{key}.yaw_jitter_rad"), jitter, 0.0, PI)
+    }
+
+    /// The same region for the middle of the arc, from which needles on organs are drawn.
+    fn on_organ(&self, needle: &NeedleShape) -> NeedleStart {
+        let (sin, cos) = self.yaw_rad.sin_cos();
+        let bulge_m = [cos, sin].map(|along| needle.arc_radius_m * along);
+        NeedleStart {
+            centre_m: [0, 1].map(|axis| self.centre_m[axis] + bulge_m[axis]),
+            range_m: self.range_m,
+            yaw_rad: self.yaw_rad,
+            yaw_jitter_rad: self.yaw_jitter_rad,
+        }
     }
 
     /// The needle's pose at the start of the episode `seed`, flat and just above the pad.
@@ -157,10 +246,26 @@ impl PadStart {
 
 impl TaskScene for SuturePad {
     fn scenery(&self, seed: u64) -> Scenery {
-        let in_scene = self.start.draw(seed, &self.needle);
+        let in_scene = self.needle_in_scene(seed);
+        let (thing, ground) = if let Some(organ) = self.organ() {
+            let soft = SoftOrgan {
+                organ,
+                ground: ON_ORGAN,
+                press: PRESSED,
+            };
+            (
+                RigidBody::sutured_needle(&self.needle, in_scene),
+                Ground::OrganWithSolids(soft, Fold::of(&self.pad).solids()),
+            )
+        } else {
+            (
+                RigidBody::bare_needle(&self.needle, in_scene),
+                Ground::Solids(self.pad.solids()),
+            )
+        };
         Scenery {
-            things: vec![RigidBody::bare_needle(&self.needle, in_scene)],
-            ground: Ground::Solids(self.pad.solids()),
+            things: vec![thing],
+            ground,
             flap: None,
         }
     }
@@ -180,25 +285,73 @@ impl TaskScene for SuturePad {
         Box::new(Alone::new(Driver::new(self), arms, seed))
     }
 
+    fn patient(&self) -> Option<&Patient> {
+        self.patient.as_deref()
+    }
+
     fn visuals(&self) -> Vec<Visual> {
-        let layers = LAYERS.into_iter().zip(self.pad.meshes());
-        let needle = Visual::new("needle", self.needle.mesh(), NEEDLE_STEEL, instance::NEEDLE);
-        layers
-            .map(|((name, material), mesh)| {
-                Visual::new(name, mesh, material, instance::ORGAN).still()
-            })
-            .chain([needle])
-            .collect()
+        let still =
+            |name, mesh, material| Visual::new(name, mesh, material, instance::ORGAN).still();
+        let mut visuals = if let Some(patient) = &self.patient {
+            let [.., (ink, blue)] = LAYERS;
+            let mut visuals = patient.visuals_in_scene();
+            visuals.extend([
+                still("fold", Fold::of(&self.pad).mesh(), patient.material()),
+                still(ink, self.pad.ink(), blue),
+            ]);
+            visuals
+        } else {
+            let layers = LAYERS.into_iter().zip(self.pad.meshes());
+            layers
+                .map(|((name, material), mesh)| still(name, mesh, material))
+                .collect()
+        };
+        let needle = self.needle.mesh();
+        visuals.push(Visual::new(
+            "needle",
+            needle,
+            NEEDLE_STEEL,
+            instance::NEEDLE,
+        ));
+        visuals
     }
 
     fn backdrop(&self) -> Backdrop {
-        Backdrop::table(-self.pad.thickness_m, [0.30, 0.17, 0.13])
+        let table = Backdrop::table(-self.pad.thickness_m, [0.30, 0.17, 0.13]);
+        let made_up = if self.patient.is_some() {
+            Backdrop::CAVITY
+        } else {
+            table
+        };
+        patient::backdrop(self.patient(), made_up)
     }
 
     fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
-        let mut poses = vec![Pose::identity(); LAYERS.len()];
-        poses.push(things[0]);
-        poses
+        let organs = patient::count(self.patient(), 0);
+        let still = if organs == 0 {
+            LAYERS.len()
+        } else {
+            organs + FOLD_VISUALS
+        };
+        iter::repeat_n(Pose::identity(), still)
+            .chain([things[0]])
+            .collect()
+    }
+}
+
+impl SuturePad {
+    /// The organ that the needle lies on, if it is a patient's.
+    fn organ(&self) -> Option<Organ> {
+        self.patient.as_deref().map(organ_of)
+    }
+
+    /// The needle's pose at the start of the episode `seed`.
+    fn needle_in_scene(&self, seed: u64) -> Pose {
+        let flat = || self.start.draw(seed, &self.needle);
+        self.organ().map_or_else(flat, |organ| {
+            let start = self.start.on_organ(&self.needle);
+            start.draw(seed, &self.needle, &organ)
+        })
     }
 }
 

@@ -117,7 +117,7 @@ impl PadShape {
     }
 
     /// A square frame on both sides of the lip.
-    fn ink(&self) -> Mesh {
+    pub(super) fn ink(&self) -> Mesh {
         let (inner, outer) = (self.hole_half_m + 0.000_4, self.hole_half_m + 0.001_1);
         let middle = self.hole_height_m;
         let sides = [

@@ -4,9 +4,10 @@ use hal::Pose;
 use hal::config::{ConfigError, Source};
 use nalgebra::Point3;
 use serde::Deserialize;
+use trocar_world::organ::Organ;
 
 use super::{PadShape, SuturePad};
-use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard};
+use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard, is_off};
 use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
 /// What counts as a needle through the hole, and what ends the episode at once.
@@ -19,7 +20,7 @@ pub struct SuccessConfig {
     pub hold_s: f64,
     /// Largest penetration depth of the fingers and the needle, m; deeper is a fault of the simulation.
     pub penetration_m_max: f64,
-    /// Largest penetration depth of the needle and the pad, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the needle and the pad, m; deeper is a fault of the simulation. An organ gives way.
     pub sunk_m_max: f64,
     /// Speed of the needle's point above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,
@@ -31,6 +32,9 @@ pub struct SuccessConfig {
     pub press: PressLimit,
 }
 
+/// Depth below a patient's organ at which the middle of the needle's arc counts as fallen off, m, as in the needle lift.
+const SINK_M: f64 = 0.005;
+
 /// Points on the wire at which its way through the hole is followed: 0.6 mm apart.
 const WIRE_POINTS: usize = 113;
 
@@ -41,14 +45,15 @@ impl SuccessConfig {
         };
         check("through_m", self.through_m, 0.001, 0.03)?;
         check("hold_s", self.hold_s, 0.05, 10.0)?;
-        self.limits().check(source, "needle")?;
+        self.limits(true).check(source, "needle")?;
         self.press.check(source)
     }
 
-    const fn limits(&self) -> Limits {
+    /// Its limits for a needle on a hard pad, or on one that gives way.
+    const fn limits(&self, is_hard: bool) -> Limits {
         Limits {
             penetration_m: self.penetration_m_max,
-            sunk_m: Some(self.sunk_m_max),
+            sunk_m: if is_hard { Some(self.sunk_m_max) } else { None },
             speed_m_s: self.needle_speed_m_s_max,
             force_n: self.needle_force_n_max,
             gain_j: self.needle_gain_j_max,
@@ -60,6 +65,7 @@ impl SuccessConfig {
 pub(super) struct SuccessMonitor {
     config: SuccessConfig,
     pad: PadShape,
+    organ: Option<Organ>,
     /// The wire in the needle frame, its point last.
     wire: Vec<Point3<f64>>,
     held: DwellTimer,
@@ -69,12 +75,15 @@ pub(super) struct SuccessMonitor {
 impl SuccessMonitor {
     /// A monitor at the start of an episode.
     pub(super) fn new(scene: &SuturePad) -> Self {
-        let config = scene.success.clone();
+        let (config, organ) = (scene.success.clone(), scene.organ());
+        let ground = if organ.is_some() { "organ" } else { "pad" };
+        let limits = config.limits(organ.is_none());
         Self {
+            organ,
             pad: scene.pad,
             wire: scene.needle.centre_line(WIRE_POINTS),
             held: DwellTimer::default(),
-            safeguard: Safeguard::new("needle", "pad", config.limits(), config.press),
+            safeguard: Safeguard::new("needle", ground, limits, config.press),
             config,
         }
     }
@@ -83,7 +92,10 @@ impl SuccessMonitor {
         let point = sight.thing_in_scene * self.wire[WIRE_POINTS - 1];
         let middle = sight.thing_in_scene * self.wire[WIRE_POINTS / 2];
         let pad = &self.pad;
-        let fallen = || !pad.covers(middle.x, middle.y) || middle.z < 0.0;
+        let fallen = || match &self.organ {
+            Some(organ) => is_off(organ, &middle, SINK_M),
+            None => !pad.covers(middle.x, middle.y) || middle.z < 0.0,
+        };
         self.safeguard.end(&point, sight, fallen)
     }
 

@@ -1,8 +1,13 @@
 //! Tissue retraction: one arm grasps a flap of skin on a liver at a red mark near its free edge, lifts it and holds it up.
+//!
+//! On a patient the flap was dissected off an organ: it looks as that does, and before it the surface is cut away.
 
 mod liver;
 mod script;
 mod success;
+
+use core::iter;
+use std::sync::Arc;
 
 use hal::Pose;
 use hal::config::{ConfigError, Source};
@@ -16,6 +21,7 @@ use script::Retractor;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
+use super::patient::{self, Incision, Patient, SceneFile, Site};
 use super::visuals::{LIVER, MUSCLE};
 use super::{CameraConfig, Kind, Monitor, Parsed, TaskScene};
 use crate::script::AnyScript;
@@ -40,6 +46,10 @@ const SKIN: Material = Material {
     detail: 0.35,
     pattern: Pattern::Membrane,
 };
+/// How many visuals show what the flap lies on without a patient.
+const MADE_UP: usize = 2;
+/// How far before and behind the plateau a patient's organ is felt, m.
+const WAY_M: f64 = 0.040;
 /// Ink.
 const RED: Material = Material {
     base_colour: [0.72, 0.012, 0.012],
@@ -59,6 +69,8 @@ pub struct TissueRetraction {
     pub mark_radius_m: f64,
     /// What the flap lies on.
     pub liver: LiverShape,
+    /// Whose organ it lies on instead, if it is a patient's.
+    pub patient: Option<Arc<Patient>>,
     /// What counts as success.
     pub success: RetractionConfig,
 }
@@ -68,6 +80,7 @@ pub struct TissueRetraction {
 struct File {
     #[serde(rename = "task")]
     _task: TitleFile,
+    scene: Option<SceneFile>,
     episode: EpisodeFile,
     arm: Vec<ArmFile>,
     liver: LiverShape,
@@ -106,7 +119,12 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
         rendering: file.rendering,
         episode: file.episode,
     };
+    let patient = file.scene.as_ref().map(|scene| {
+        let site = site(&file.liver, &file.tissue);
+        Ok(Arc::new(scene.load(source, &site)?))
+    });
     let scene = TissueRetraction {
+        patient: patient.transpose()?,
         tissue: file.tissue,
         mark_radius_m: file.look.mark_radius_m,
         liver: file.liver,
@@ -115,11 +133,27 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     Ok((common, Box::new(scene)))
 }
 
+/// What the scene needs of a patient's organ: what the plateau covers and the way to it, cut away before the plateau's near side.
+fn site(liver: &LiverShape, tissue: &TissueConfig) -> Site {
+    let half_m = [0, 1].map(|axis| liver.low_m[axis].abs().max(liver.high_m[axis].abs()));
+    Site {
+        half_m: [half_m[0], half_m[1] + WAY_M],
+        centre_m: [0.0; 3],
+        incision: Some(Incision {
+            front_m: liver.low_m[1],
+            half_m: 0.5 * tissue.length_m,
+        }),
+    }
+}
+
 impl TaskScene for TissueRetraction {
     fn scenery(&self, seed: u64) -> Scenery {
         Scenery {
             things: Vec::new(),
-            ground: Ground::Bed(self.liver.ground()),
+            ground: Ground::Bed(match &self.patient {
+                Some(patient) => (*patient.organ).clone(),
+                None => self.liver.ground(),
+            }),
             flap: Some(Flap {
                 config: self.tissue.clone(),
                 seed,
@@ -142,28 +176,49 @@ impl TaskScene for TissueRetraction {
     fn visuals(&self) -> Vec<Visual> {
         let flap = self.tissue.surface();
         let mark = Patch::new(&flap, [0.0; 2], self.mark_radius_m);
-        vec![
-            Visual::new("liver", self.liver.mesh(), LIVER, instance::ORGAN).still(),
-            Visual::new("body", self.liver.floor(), MUSCLE, instance::ORGAN).still(),
-            Visual::new("flap", flap.mesh().clone(), SKIN, instance::TISSUE),
+        let (mut visuals, skin) = match &self.patient {
+            Some(patient) => (patient.visuals_in_scene(), patient.material()),
+            None => (self.made_up(), SKIN),
+        };
+        visuals.extend([
+            Visual::new("flap", flap.mesh().clone(), skin, instance::TISSUE),
             Visual::new("mark", mark.mesh().clone(), RED, instance::MARK),
-        ]
+        ]);
+        visuals
+    }
+
+    fn patient(&self) -> Option<&Patient> {
+        self.patient.as_deref()
     }
 
     fn backdrop(&self) -> Backdrop {
-        Backdrop {
+        let over_liver = Backdrop {
             bounce: [0.20, 0.045, 0.03],
             ..Backdrop::CAVITY
-        }
+        };
+        patient::backdrop(self.patient(), over_liver)
     }
 
     fn visual_poses(&self, _things: &[Pose], _goal: &Pose) -> Vec<Pose> {
         // The flap's vertices are in the scene frame.
-        vec![Pose::identity(); 4]
+        let still = patient::count(self.patient(), MADE_UP);
+        iter::repeat_n(Pose::identity(), still + 2).collect()
     }
 
     fn flap(&self) -> Option<(&TissueConfig, f64)> {
         Some((&self.tissue, self.mark_radius_m))
+    }
+}
+
+impl TissueRetraction {
+    /// What the flap lies on without a patient.
+    fn made_up(&self) -> Vec<Visual> {
+        let organ = |name, mesh, material| Visual::new(name, mesh, material, instance::ORGAN);
+        let visuals: [Visual; MADE_UP] = [
+            organ("liver", self.liver.mesh(), LIVER),
+            organ("body", self.liver.floor(), MUSCLE),
+        ];
+        visuals.map(Visual::still).into()
     }
 }
 

@@ -109,18 +109,19 @@ impl Stage {
             }
         }
         self.detector.reduce();
-        if self.solids.is_empty() {
+        let found = self.detector.found.iter();
+        self.contacts
+            .extend(found.map(|found| contact(sides, found, &self.hard[0])));
+        if let Some([surface, _]) = &self.soft {
             for (piece, meets) in &thing.pieces {
-                if *meets != CollisionMask::Instrument {
+                if *meets == CollisionMask::Ground {
                     let centre = our_vector(carrier.transform_point(piece.centre));
                     let met = soft::meet(&self.ground, &centre, piece.radius_m, reach_m);
-                    self.detector.found.extend(met);
+                    self.contacts
+                        .extend(met.map(|found| contact(sides, &found, surface)));
                 }
             }
         }
-        let found = self.detector.found.iter();
-        self.contacts
-            .extend(found.map(|found| contact(sides, found, &self.ground_surface)));
     }
 
     /// Contacts of an instrument and the ground.
@@ -128,30 +129,29 @@ impl Stage {
         for (part, pose) in poses.iter().enumerate() {
             let sides = [Side::Ground, Side::Part { arm, part }];
             self.detector.clear();
-            if self.solids.is_empty() {
+            let carrier = engine_pose(pose);
+            for solid in &self.solids {
+                let first = First::new(solid, &EnginePose::IDENTITY);
+                let relative = first.relative(&carrier);
+                self.detector
+                    .pair(&first, &self.parts[part], &relative, reach_m);
+            }
+            self.detector.reduce();
+            let found = self.detector.found.iter();
+            self.contacts
+                .extend(found.map(|found| contact(sides, found, &self.hard[1])));
+            if let Some([_, surface]) = &self.soft {
                 let radius_m = if part == PARTS - 1 {
                     WRIST_RADIUS_M
                 } else {
                     0.0
                 };
-                let points = self.samples[part].iter();
-                let met = points.filter_map(|point| {
+                let met = self.samples[part].iter().filter_map(|point| {
                     soft::meet(&self.ground, &(pose * point).coords, radius_m, reach_m)
                 });
-                self.detector.found.extend(met);
-            } else {
-                let carrier = engine_pose(pose);
-                for solid in &self.solids {
-                    let first = First::new(solid, &EnginePose::IDENTITY);
-                    let relative = first.relative(&carrier);
-                    self.detector
-                        .pair(&first, &self.parts[part], &relative, reach_m);
-                }
-                self.detector.reduce();
+                self.contacts
+                    .extend(met.map(|found| contact(sides, &found, surface)));
             }
-            let found = self.detector.found.iter();
-            self.contacts
-                .extend(found.map(|found| contact(sides, found, &self.press)));
         }
     }
 }

@@ -10,6 +10,7 @@ mod style;
 use hal::{Pose, TimeNs};
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use trocar_world::needle::NeedleShape;
+use trocar_world::organ::Organ;
 
 use super::{PadShape, SuturePad};
 use crate::script::alone::View;
@@ -40,6 +41,8 @@ const REOPEN_S: f64 = 0.3;
 pub(super) struct Driver {
     needle: NeedleShape,
     pad: PadShape,
+    /// What the needle lies on, if that is not the pad.
+    organ: Option<Organ>,
 }
 
 impl Part for Driver {
@@ -162,6 +165,7 @@ impl Driver {
         Self {
             needle: scene.needle,
             pad: scene.pad,
+            organ: scene.organ(),
         }
     }
 }
@@ -176,11 +180,12 @@ impl Hand<Driver> {
 
     /// The pose in which closing the jaw grips the wire near the middle of its arc.
     fn grasp_pose(&self, view: &View) -> Pose {
+        let organ = self.part.organ.as_ref();
         wire_grasp(
             &self.part.needle,
             &view.thing,
             self.style.along_m,
-            |_, _| 0.0,
+            |x, y| organ.map_or(0.0, |organ| organ.height_m(x, y)),
         )
     }
 
