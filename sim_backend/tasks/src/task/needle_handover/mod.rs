@@ -89,8 +89,8 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     }
     source.check_range("presented.yaw_rad", file.presented.yaw_rad, -3.2, 3.2)?;
     file.success.check(source)?;
-    let (organ, patient) = patient::ground(source, file.organ, file.scene.as_ref())?;
-    file.needle_start.check_on(source, &file.needle, &organ)?;
+    let fits = |organ: &Organ| file.needle_start.check_on(source, &file.needle, organ);
+    let (organ, patient) = patient::ground(source, file.organ, file.scene.as_ref(), fits)?;
     let common = CommonFile {
         arm: file.arm,
         world: file.world,

@@ -85,8 +85,8 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     };
     file.needle_start.check(source)?;
     file.success.check(source)?;
-    let (organ, patient) = patient::ground(source, file.organ, file.scene.as_ref())?;
-    file.needle_start.check_on(source, &trained, &organ)?;
+    let fits = |organ: &Organ| file.needle_start.check_on(source, &trained, organ);
+    let (organ, patient) = patient::ground(source, file.organ, file.scene.as_ref(), fits)?;
     let common = CommonFile {
         arm: file.arm,
         world: file.world,

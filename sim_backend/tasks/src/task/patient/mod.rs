@@ -1,7 +1,7 @@
 //! A patient under the instruments: `[scene] patient = "DIR", organ = "liver"` makes an organ of what `trocar anatomy build` wrote into
 //! `DIR` the ground of a task.
 //!
-//! The patient is turned so that the flattest patch on the organ's front faces the instruments, the head away from the viewer, and raised
+//! The patient is turned so that the flattest patch on the organ's front on which the task can be done faces the instruments, the head away from the viewer, and raised
 //! so that the patch is where the task has its ground. The organ is rounded between its vertices, once for physics and pictures
 //! alike: what is felt is a table of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in
 //! the way.
@@ -86,13 +86,31 @@ pub(super) struct Site {
     pub(super) incision: Option<Incision>,
 }
 
+impl Site {
+    /// An organ with `patch` under the instruments, as it is drawn and as it is felt.
+    fn lay(&self, mesh: Mesh, patch: &Patch) -> (Mesh, Ground) {
+        let mut drawn = rounding::rounded(placed(mesh, &patch.scene_from_scan), self.half_m);
+        if let Some(incision) = &self.incision {
+            drawn = rounding::finer(drawn, |at| incision.edge_m(at));
+            incision.cut(&mut drawn);
+        }
+        let table = Relief::of(&drawn, &Pose::identity(), self.half_m, SPACING_M).table();
+        (drawn, table)
+    }
+}
+
 impl SceneFile {
-    /// Reads the patient and lays it under the instruments.
+    /// Reads the patient and lays it under the instruments: the flattest patch of the organ that `fits`.
     ///
     /// # Errors
     /// [`ConfigError::Refused`] if there is no patient in the folder, its file is damaged, or no patch of the organ is fit to work on;
-    /// [`ConfigError::OutOfRange`] if it has no such organ.
-    pub(super) fn load(&self, source: &Source, site: &Site) -> Result<Patient, ConfigError> {
+    /// [`ConfigError::OutOfRange`] if it has no such organ; what is wrong with the flattest patch where none fits.
+    pub(super) fn load(
+        &self,
+        source: &Source,
+        site: &Site,
+        fits: impl Fn(&Organ) -> Result<(), ConfigError>,
+    ) -> Result<Patient, ConfigError> {
         let parts = assets::read(Path::new(&self.patient));
         let parts = parts
             .map_err(|error| source.refused("scene.patient", &self.patient, &error.to_string()))?;
@@ -100,20 +118,24 @@ impl SceneFile {
             let names: Vec<&str> = parts.iter().map(|part| part.name.as_str()).collect();
             return Err(source.out_of_range("scene.organ", &self.organ, &names.join(", ")));
         };
-        let patch = Patch::choose(&organ.mesh, site.centre_m)
+        let patches = Patch::choose(&organ.mesh, site.centre_m)
             .map_err(|reason| source.refused("scene.organ", &self.organ, &reason))?;
-        let drawn = placed(organ.mesh.clone(), &patch.scene_from_scan);
-        let mut drawn = rounding::rounded(drawn, site.half_m);
-        if let Some(incision) = &site.incision {
-            drawn = rounding::finer(drawn, |at| incision.edge_m(at));
-            incision.cut(&mut drawn);
+        let mut misfit = None;
+        for patch in patches {
+            let (drawn, table) = site.lay(organ.mesh.clone(), &patch);
+            let table = Arc::new(table);
+            match fits(&Organ::Measured(Arc::clone(&table))) {
+                Ok(()) => {
+                    return Ok(Patient {
+                        lie: self.lie(&patch, site),
+                        organ: table,
+                        visuals: self.visuals(&parts, drawn, &patch.scene_from_scan),
+                    });
+                }
+                Err(error) => misfit = misfit.or(Some(error)),
+            }
         }
-        let table = Relief::of(&drawn, &Pose::identity(), site.half_m, SPACING_M).table();
-        Ok(Patient {
-            lie: self.lie(&patch, site),
-            organ: Arc::new(table),
-            visuals: self.visuals(&parts, drawn, &patch.scene_from_scan),
-        })
+        Err(misfit.unwrap_or_else(|| source.refused("scene.organ", &self.organ, "no patch")))
     }
 
     fn visuals(&self, parts: &[Part], drawn: Mesh, scene_from_scan: &Pose) -> Vec<Visual> {
@@ -157,22 +179,25 @@ pub fn patient_file(scene: &Source) -> Option<PathBuf> {
 /// What things lie on in a scene whose file says `shape`, and `scene` if it has that table.
 ///
 /// # Errors
-/// Those of the shape's ranges and of the patient.
+/// Those of the shape's ranges, of the patient, and of what does not fit.
 pub(super) fn ground(
     source: &Source,
     shape: OrganShape,
     scene: Option<&SceneFile>,
+    fits: impl Fn(&Organ) -> Result<(), ConfigError>,
 ) -> Result<(Organ, Option<Arc<Patient>>), ConfigError> {
     shape.check(source, "organ")?;
     let Some(scene) = scene else {
-        return Ok((Organ::Rolling(shape), None));
+        let organ = Organ::Rolling(shape);
+        fits(&organ)?;
+        return Ok((organ, None));
     };
     let site = Site {
         half_m: [0.5 * shape.length_m, 0.5 * shape.width_m],
         centre_m: [0.0, 0.0, RAISED_M],
         incision: None,
     };
-    let patient = scene.load(source, &site)?;
+    let patient = scene.load(source, &site, fits)?;
     let organ = Organ::Measured(Arc::clone(&patient.organ));
     Ok((organ, Some(Arc::new(patient))))
 }

@@ -1,4 +1,4 @@
-//! Where on an organ to work: the flattest place of its front.
+//! Where on an organ to work: the flattest places of its front.
 
 use hal::{Mesh, Pose};
 use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -14,8 +14,10 @@ const STANDS_UP_M: f64 = 0.015;
 const SPACING_M: f64 = 0.004;
 /// Cosine of the greatest angle between the surface and the patient's front: instruments come in through the belly.
 const FRONT_MIN: f64 = 0.5;
-/// Most places that are looked at.
+/// Most places that are looked at; how many of them a task may choose from, and how far these are from each other, m.
 const PLACES_MAX: usize = 500;
+const CHOICES: usize = 6;
+const APART_M: f64 = 0.015;
 /// Size of the body, m: no organ reaches further.
 const ORGAN_M_MAX: f64 = 1.0;
 
@@ -27,12 +29,12 @@ pub(super) struct Patch {
 }
 
 impl Patch {
-    /// The flattest place on the front of the organ `mesh` (RAS, m), its middle at `centre_m` in the scene, in height in
-    /// the mean; the same for the same mesh.
+    /// The flattest places on the front of the organ `mesh` (RAS, m), the flattest first, each with its middle at `centre_m` in the scene, in
+    /// height in the mean; the same for the same mesh.
     ///
     /// # Errors
     /// Why there is none.
-    pub(super) fn choose(mesh: &Mesh, centre_m: [f64; 3]) -> Result<Self, String> {
+    pub(super) fn choose(mesh: &Mesh, centre_m: [f64; 3]) -> Result<Vec<Self>, String> {
         let extent_m = extent_m(mesh);
         if extent_m > ORGAN_M_MAX {
             let size = format!("it is {extent_m:.2} m long, of at most {ORGAN_M_MAX} m");
@@ -43,16 +45,26 @@ impl Patch {
             .collect();
         let step = front.len().div_ceil(PLACES_MAX).max(1);
         let patches = front.iter().step_by(step);
-        let patches = patches.filter_map(|(at, normal)| Self::at(mesh, at, normal, centre_m));
-        let best = patches.reduce(|best, patch| {
-            if patch.roughness_m < best.roughness_m {
-                patch
-            } else {
-                best
-            }
+        let patches = patches.filter_map(|(at, normal)| {
+            let patch = Self::at(mesh, at, normal, centre_m)?;
+            Some((*at, patch))
         });
+        let mut patches: Vec<(Point3<f64>, Self)> = patches.collect();
+        patches.sort_by(|(_, a), (_, b)| a.roughness_m.total_cmp(&b.roughness_m));
+        let mut chosen: Vec<(Point3<f64>, Self)> = Vec::new();
+        for (at, patch) in patches {
+            let is_apart = |(other, _): &(Point3<f64>, Self)| (at - other).norm() >= APART_M;
+            if chosen.len() < CHOICES && chosen.iter().all(is_apart) {
+                chosen.push((at, patch));
+            }
+        }
         let radius_mm = 1e3 * RADIUS_M;
-        best.ok_or_else(|| format!("no place on its front has {radius_mm:.0} mm of surface around it and nothing beside that stands up"))
+        if chosen.is_empty() {
+            return Err(format!(
+                "no place on its front has {radius_mm:.0} mm of surface around it and nothing beside that stands up"
+            ));
+        }
+        Ok(chosen.into_iter().map(|(_, patch)| patch).collect())
     }
 
     /// The place `at` with the outward `normal`, at `centre_m` in the scene; none if the organ does not reach all around.

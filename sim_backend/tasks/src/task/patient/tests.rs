@@ -1,5 +1,6 @@
 //! Patients under the instruments: the phantom's liver is worked on, and what can't be one is refused.
 
+use core::cell::Cell;
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,6 +17,7 @@ use trocar_render::visual::instance;
 use trocar_world::organ::Organ;
 use trocar_world::{Ground, World};
 
+use super::{SceneFile, Site};
 use crate::closed_loop;
 use crate::task::needle_lift::NeedleLift;
 use crate::task::suture_pad::SuturePad;
@@ -294,4 +296,39 @@ fn a_fold_whose_hole_is_in_the_liver_is_refused() {
         refused.contains("scene.organ") && refused.contains("below the fold's hole"),
         "{refused}"
     );
+}
+
+/// Where the flattest patch does not fit, another one is taken; where none does, the flattest one's reason is given.
+#[test]
+fn the_flattest_patch_that_fits_is_taken() {
+    let folder = Folder::with_patient("patches");
+    let source = folder.scene("needle-lift", "liver");
+    let file = SceneFile {
+        patient: folder.0.display().to_string(),
+        organ: "liver".to_owned(),
+    };
+    let site = Site {
+        half_m: [0.06, 0.045],
+        centre_m: [0.0, 0.0, 0.005],
+        incision: None,
+    };
+    let asked = Cell::new(0);
+    let refuse = |count: u32| {
+        asked.set(0);
+        file.load(&source, &site, |_| {
+            asked.set(asked.get() + 1);
+            let reason = format!("patch {}", asked.get());
+            if asked.get() > count {
+                Ok(())
+            } else {
+                Err(source.refused("scene.organ", "liver", &reason))
+            }
+        })
+    };
+    let [first, second] = [0, 1].map(|count| refuse(count).unwrap().lie);
+    let way = Point3::from(first.patch_in_scan_m) - Point3::from(second.patch_in_scan_m);
+    assert!(way.norm() > 0.01, "{first:?} {second:?}");
+    assert!(first.roughness_m <= second.roughness_m);
+    let none = refuse(100).unwrap_err().to_string();
+    assert!(none.contains("patch 1") && asked.get() > 2, "{none}");
 }

@@ -157,14 +157,14 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     };
     let patient = file.scene.as_ref().map(|scene| {
         let site = site(&file.pad, &file.needle_start, &file.needle);
-        Ok(Arc::new(scene.load(source, &site)?))
+        let start = file.needle_start.on_organ(&file.needle);
+        let fits = |organ: &Organ| {
+            start.check_on(source, &file.needle, organ)?;
+            check_hole(source, &file.pad, organ)
+        };
+        Ok(Arc::new(scene.load(source, &site, fits)?))
     });
     let patient = patient.transpose()?;
-    if let Some(patient) = &patient {
-        let (start, organ) = (file.needle_start.on_organ(&file.needle), organ_of(patient));
-        start.check_on(source, &file.needle, &organ)?;
-        check_hole(source, &file.pad, &organ)?;
-    }
     let scene = SuturePad {
         patient,
         needle: file.needle,

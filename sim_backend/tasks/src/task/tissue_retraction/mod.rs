@@ -121,7 +121,7 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     };
     let patient = file.scene.as_ref().map(|scene| {
         let site = site(&file.liver, &file.tissue);
-        Ok(Arc::new(scene.load(source, &site)?))
+        Ok(Arc::new(scene.load(source, &site, |_| Ok(()))?))
     });
     let scene = TissueRetraction {
         patient: patient.transpose()?,
