@@ -7,7 +7,7 @@
     target/anatomy/bin/python tests/scripts/anatomy.py --short target/scratch/anatomy-short     # of 96x96x115 voxels, in `make test`
 
 A phantom is made and built into the given folder (`--size`, `--seed`), and once more from the same labels stored with other axes. Then
-(`--short`: nifti, meshes, usd, gltf and planted):
+(`--short`: nifti, meshes, usd, gltf, textures and planted):
 
   nifti    nibabel and SimpleITK read labels and CT alike and place ten landmarks at the same points of the world
   meshes   closed and wound outwards in trimesh; volumes within 1 % of the voxels'; centres where the voxels' centres are; no vertex
@@ -17,6 +17,7 @@ A phantom is made and built into the given folder (`--size`, `--seed`), and once
            masses, bound materials; the package opens as the stage does
   tetra    (not in the short form) UsdGeomTetMesh finds no inverted element and the same surface; volumes within 1 % of the meshes'
   gltf     the Khronos validator has neither error nor warning; trimesh sees the same bounds as in the stage
+  textures  the textured files are as valid as the others, and every group's texture is found
   foreign  a stage that usd-core wrote, in centimetres and y upwards, turned and scaled by operations, alone and in a package, is the patient that
            it was made of, under a needle lift's expert; its binary form is refused
   planted  a stage without default prim, a glTF file with an index out of range, and triangles that cross are caught by these judges
@@ -33,6 +34,7 @@ import argparse
 import json
 import os
 import shutil
+import struct
 import subprocess
 import sys
 import tomllib
@@ -275,6 +277,29 @@ def check_gltf(path, meshes):
     report("glTF: its warnings", issues["numWarnings"], 0)
 
 
+def check_textures(folder, meshes):
+    path = folder / "patient-textured.usdz"
+    check_package(path, meshes)
+    check_gltf(folder / "patient-textured.glb", meshes)
+    data = (folder / "patient-textured.glb").read_bytes()
+    (length,) = struct.unpack_from("<I", data, 12)
+    document, numbers = json.loads(data[20 : 20 + length]), data[28 + length :]
+    without = 0
+    for material in document["materials"]:
+        texture = document["textures"][material["pbrMetallicRoughness"]["baseColorTexture"]["index"]]
+        view = document["bufferViews"][document["images"][texture["source"]]["bufferView"]]
+        png = numbers[view["byteOffset"] :][: view["byteLength"]]
+        without += int(png[:8] != b"\x89PNG\r\n\x1a\n" or struct.unpack_from(">II", png, 16) != (256, 256))
+    report("textures: groups of the glTF without one", without, 0)
+    stage = Usd.Stage.Open(str(path))
+    unread = 0
+    for name in meshes:
+        surface = UsdShade.Shader(stage.GetPrimAtPath(f"/Patient/Materials/{name.replace('-', '_')}/Surface"))
+        texture = UsdShade.Shader(surface.GetInput("diffuseColor").GetConnectedSource()[0])
+        unread += int(not texture.GetInput("file").Get().resolvedPath)
+    report("textures: groups of the package whose file is not found", unread, 0)
+
+
 def work_on(patient, result):
     """A needle lift on the liver of a patient, by the expert."""
     scene = ["--set", f"scene.scene.patient={patient}", "--set", "scene.scene.organ=liver"]
@@ -445,7 +470,7 @@ def main():
     size = options.size or ("96x96x115" if options.short else "160x160x192")
     trocar("phantom", "--seed", options.seed, "--size", size, "--out", folder)
     tetrahedra = [] if options.short else ["--tetrahedra", 8]
-    trocar("build", folder / "labels.nii.gz", "--out", folder, "--levels", 2, *tetrahedra)
+    trocar("build", folder / "labels.nii.gz", "--out", folder, "--levels", 2, "--textures", 256, *tetrahedra)
     random = np.random.default_rng(options.seed)
     check_nifti(folder / "ct.nii.gz", random)
     image = check_nifti(folder / "labels.nii.gz", random)
@@ -455,6 +480,7 @@ def main():
     check_levels(folder / "patient-levels.usda", meshes, 2)
     check_package(folder / "patient.usdz", meshes)
     check_gltf(folder / "patient.glb", meshes)
+    check_textures(folder, meshes)
     check_planted(folder, meshes)
     if not options.short:
         check_tetrahedra(folder / "tetrahedra.usda", meshes)

@@ -41,6 +41,8 @@ fn phantom_becomes_a_patient_with_a_report() {
         "--measure-stages",
         "--tetrahedra",
         "12",
+        "--textures",
+        "32",
     ];
     done(&[&["build", &labels, "--out", &out], &options[..]].concat());
     let told = json(&folder.join("out/result.json"));
@@ -70,6 +72,8 @@ fn phantom_becomes_a_patient_with_a_report() {
     for (name, start) in [
         ("patient.glb", "glTF"),
         ("patient.usdz", "PK"),
+        ("patient-textured.glb", "glTF"),
+        ("patient-textured.usdz", "PK"),
         ("tetrahedra.usda", "#usda 1.0"),
     ] {
         let bytes = fs::read(folder.join(name)).unwrap();

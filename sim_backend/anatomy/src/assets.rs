@@ -24,7 +24,7 @@ pub use gltf::Numbers;
 pub use part::Part;
 pub use read::{PatientError, file_of, read};
 pub use tetra::tetrahedra_usda;
-pub use usda::{level_file, levels_usda, usda};
+pub use usda::{level_file, levels_usda, texture_file, usda};
 pub use usdz::usdz;
 
 /// The patient's glTF file in its folder.
@@ -40,6 +40,8 @@ pub struct Asset<'a> {
     pub group: &'a Group,
     /// Its mesh.
     pub mesh: &'a GroupMesh,
+    /// Its base-colour texture, a PNG, if it has one.
+    pub texture: Option<&'a [u8]>,
 }
 
 impl Asset<'_> {

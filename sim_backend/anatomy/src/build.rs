@@ -11,12 +11,12 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::assets::{
-    Asset, FRAME, GLB_FILE, glb, level_file, levels_usda, tetrahedra_usda, usda, usdz,
+    Asset, FRAME, GLB_FILE, glb, level_file, levels_usda, tetrahedra_usda, texture_file, usda, usdz,
 };
 use crate::atlas::unwrap;
 use crate::clean::{Cleaned, remove_islands, separate_touching};
 use crate::decimate::decimate;
-use crate::groups::Groups;
+use crate::groups::{Group, Groups};
 use crate::measure::measure;
 use crate::mesh::GroupMesh;
 use crate::nifti::{LabelVolume, read_labels};
@@ -24,6 +24,7 @@ use crate::number::{floor_to, index};
 use crate::surface::Method;
 use crate::surface::complex::Complex;
 use crate::tetra::Tetrahedra;
+use crate::texture::png;
 use crate::volume::Padded;
 
 use surfaces::{settle, stage_distances, surfaces};
@@ -50,6 +51,8 @@ pub struct Options {
     pub measure_stages: bool,
     /// Side of the cells of the lattice of tetrahedra, mm; none if there are to be none.
     pub tetrahedra_mm: Option<f64>,
+    /// Side of the groups' textures, pixels; none if there are to be none.
+    pub textures_px: Option<u32>,
     /// How many coarser levels of detail there are to be, each with twice the error of the one before, at most [`LEVELS_MAX`].
     pub levels: u32,
 }
@@ -66,6 +69,7 @@ impl Default for Options {
             smoothing: 20,
             measure_stages: false,
             tetrahedra_mm: None,
+            textures_px: None,
             levels: 0,
         }
     }
@@ -220,7 +224,7 @@ fn build_volume(
             voxels: after[mesh.group + 1],
             vertices: mesh.positions.len(),
             triangles: mesh.triangles.len(),
-            mass_kg: Asset { group, mesh }.mass_kg(),
+            mass_kg: asset(group, mesh, None).mass_kg(),
             atlas_used: *atlas_used,
             measures: measure(mesh, &volume, targets[mesh.group + 1])?,
         })
@@ -254,17 +258,23 @@ fn build_volume(
     patient
 }
 
+/// A mesh with what it is made of.
+const fn asset<'a>(group: &'a Group, mesh: &'a GroupMesh, texture: Option<&'a [u8]>) -> Asset<'a> {
+    Asset {
+        group,
+        mesh,
+        texture,
+    }
+}
+
 /// What belongs to `meshes`, as files have it.
 fn assets<'a>(meshes: &'a [GroupMesh], groups: &'a Groups) -> Vec<Asset<'a>> {
-    let asset = |mesh: &'a GroupMesh| Asset {
-        group: &groups.groups[mesh.group],
-        mesh,
-    };
-    meshes.iter().map(asset).collect()
+    let plain = |mesh: &'a GroupMesh| asset(&groups.groups[mesh.group], mesh, None);
+    meshes.iter().map(plain).collect()
 }
 
 /// Writes `patient.glb`, `patient.usda`, the same in `patient.usdz`, `patient.json` (the report) and, if there are any, `tetrahedra.usda`,
-/// and coarser levels (`patient-level-1.usda` and following) with `patient-levels.usda`, which has all as variants, into `folder`, which is
+/// `patient-textured.glb` and `.usdz`, and coarser levels (`patient-level-1.usda` and following) with `patient-levels.usda`, which has all as variants, into `folder`, which is
 /// made.
 ///
 /// # Errors
@@ -283,12 +293,14 @@ pub fn write(patient: &Patient, groups: &Groups, folder: &Path) -> Result<(), Bu
         (GLB_FILE.to_owned(), Some(binary)),
         (
             "patient.usdz".to_owned(),
-            Some(usdz("patient.usda", text.as_bytes())),
+            Some(usdz(&[("patient.usda".to_owned(), text.as_bytes())])),
         ),
         ("patient.usda".to_owned(), Some(text.into_bytes())),
         ("patient.json".to_owned(), Some(report.into_bytes())),
     ];
-    for (name, bytes) in files.into_iter().chain(on_request(patient, groups)) {
+    let textured = textured(patient, groups).map_err(unwritable(folder))?;
+    let further = on_request(patient, groups).into_iter().chain(textured);
+    for (name, bytes) in files.into_iter().chain(further) {
         let path = folder.join(name);
         match bytes {
             Some(bytes) => fs::write(&path, bytes).map_err(unwritable(&path))?,
@@ -298,6 +310,31 @@ pub fn write(patient: &Patient, groups: &Groups, folder: &Path) -> Result<(), Bu
         }
     }
     Ok(())
+}
+
+/// `patient-textured.glb` and `patient-textured.usdz`, which have a texture a group in them, if they are asked for.
+fn textured(patient: &Patient, groups: &Groups) -> io::Result<[(String, Option<Vec<u8>>); 2]> {
+    let file = |suffix: &str, bytes| (format!("patient-textured.{suffix}"), bytes);
+    let Some(side) = patient.report.options.textures_px else {
+        return Ok(["glb", "usdz"].map(|suffix| file(suffix, None)));
+    };
+    let meshes = patient.meshes.par_iter();
+    let paint = |mesh: &GroupMesh| png(&groups.groups[mesh.group], mesh, side);
+    let pictures: Result<Vec<Vec<u8>>, _> = meshes.map(paint).collect();
+    let pictures = pictures.map_err(io::Error::other)?;
+    let pairs = patient.meshes.iter().zip(&pictures);
+    let assets: Vec<Asset<'_>> = pairs
+        .map(|(mesh, png)| asset(&groups.groups[mesh.group], mesh, Some(png)))
+        .collect();
+    let text = usda(&assets);
+    let stage = ("patient-textured.usda".to_owned(), text.as_bytes());
+    let pictures = assets.iter().zip(&pictures);
+    let pictures = pictures.map(|(asset, png)| (texture_file(asset.group), png.as_slice()));
+    let packed: Vec<(String, &[u8])> = [stage].into_iter().chain(pictures).collect();
+    Ok([
+        file("glb", Some(glb(&assets))),
+        file("usdz", Some(usdz(&packed))),
+    ])
 }
 
 /// The files that are made if they are asked for, and have no bytes if they are not.

@@ -7,6 +7,8 @@ use serde::Deserialize;
 
 use hal::config::{ConfigError, Source};
 
+use crate::texture::Pattern;
+
 /// Most groups of a patient: with the background, a set of them fits 32 bits.
 const GROUPS_MAX: usize = 31;
 
@@ -37,6 +39,8 @@ pub struct Group {
     pub name: String,
     /// Base colour, linear RGB in [0, 1].
     pub colour: [f64; 3],
+    /// What its texture shows.
+    pub pattern: Pattern,
     /// Roughness of the surface in [0, 1].
     pub roughness: f64,
     /// Strength of the clear film on it in [0, 1].

@@ -21,4 +21,5 @@ pub mod phantom;
 mod smooth;
 pub mod surface;
 pub mod tetra;
+pub mod texture;
 pub mod volume;

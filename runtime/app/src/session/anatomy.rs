@@ -81,10 +81,12 @@ fn check_outputs(folder: &Path, names: &[&str], source: Option<&Path>) -> Result
 }
 
 /// The files of a patient.
-const PATIENT_FILES: [&str; 5] = [
+const PATIENT_FILES: [&str; 7] = [
     "patient.glb",
     "patient.usda",
     "patient.usdz",
+    "patient-textured.glb",
+    "patient-textured.usdz",
     "patient.json",
     "tetrahedra.usda",
 ];

@@ -47,6 +47,7 @@ struct Document {
     numbers: Numbers,
     meshes: Vec<Value>,
     materials: Vec<Value>,
+    images: Vec<Value>,
     nodes: Vec<Value>,
 }
 
@@ -58,7 +59,16 @@ impl Document {
         let uv = self.numbers.vectors(&split.uv, false);
         let indices = self.numbers.indices(&split.indices);
         let group = asset.group;
-        self.materials.push(material(asset));
+        let mut material = material(asset);
+        if let Some(png) = asset.texture {
+            let view = self.numbers.image(png);
+            let surface = &mut material["pbrMetallicRoughness"];
+            surface["baseColorFactor"] = json!([1.0, 1.0, 1.0, 1.0]);
+            surface["baseColorTexture"] = json!({"index": self.images.len()});
+            let image = json!({"name": group.name, "mimeType": "image/png", "bufferView": view});
+            self.images.push(image);
+        }
+        self.materials.push(material);
         self.meshes.push(json!({
             "name": group.name,
             "primitives": [{
@@ -82,7 +92,7 @@ impl Document {
         nodes.push(
             json!({"name": "patient", "rotation": [0.0, half, half, 0.0], "children": children}),
         );
-        json!({
+        let mut document = json!({
             "asset": {"version": "2.0", "generator": "trocar anatomy", "extras": {"frame": FRAME}},
             "extensionsUsed": ["KHR_materials_clearcoat", "KHR_materials_transmission", "KHR_materials_volume"],
             "scene": 0,
@@ -90,7 +100,17 @@ impl Document {
             "nodes": nodes,
             "meshes": self.meshes,
             "materials": self.materials,
-        })
+        });
+        if !self.images.is_empty() {
+            let texture = |source| json!({"source": source, "sampler": 0});
+            let textures: Vec<Value> = (0..self.images.len()).map(texture).collect();
+            document["images"] = json!(self.images);
+            document["textures"] = json!(textures);
+            // Linear, with mipmaps, cut off at the edges.
+            document["samplers"] =
+                json!([{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}]);
+        }
+        document
     }
 }
 

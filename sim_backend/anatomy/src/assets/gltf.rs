@@ -50,6 +50,17 @@ impl Numbers {
         self.add(numbers, ELEMENT_ARRAY_BUFFER, accessor)
     }
 
+    /// Adds the bytes of an image file; gives their view's index.
+    pub fn image(&mut self, file: &[u8]) -> usize {
+        let offset = self.bytes.len();
+        self.bytes.extend(file);
+        self.views
+            .push(json!({"buffer": 0, "byteOffset": offset, "byteLength": file.len()}));
+        // What follows are numbers of four bytes.
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        self.views.len() - 1
+    }
+
     fn add(
         &mut self,
         numbers: impl Iterator<Item = [u8; 4]>,

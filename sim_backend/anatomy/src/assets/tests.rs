@@ -35,6 +35,7 @@ fn glb_is_two_chunks_whose_views_lie_in_the_buffer() {
     let bytes = glb(&[Asset {
         group: &groups.groups[0],
         mesh: &mesh,
+        texture: None,
     }]);
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four")) as usize;
     assert_eq!(&bytes[..4], b"glTF");
@@ -60,8 +61,9 @@ fn usdz_has_the_stage_as_it_is() {
     let text = usda(&[Asset {
         group: &groups.groups[0],
         mesh: &mesh,
+        texture: None,
     }]);
-    let archive = usdz("patient.usda", text.as_bytes());
+    let archive = usdz(&[("patient.usda".to_owned(), text.as_bytes())]);
     assert_eq!(&archive[64..64 + text.len()], text.as_bytes());
     let [stage, packed] = [text.as_bytes(), &archive].map(|file| of_usd(file).expect("it is read"));
     assert_eq!(stage[0].mesh.positions, packed[0].mesh.positions);
@@ -76,6 +78,7 @@ fn usda_has_points_in_metres_and_mass() {
     let asset = Asset {
         group: &groups.groups[0],
         mesh: &mesh,
+        texture: None,
     };
     // 60³ / 6 mm³ of 1060 kg/m³.
     assert!((asset.mass_kg() - 36e-6 * 1060.0).abs() < 1e-12);
@@ -98,6 +101,7 @@ fn file() -> Vec<u8> {
     glb(&[Asset {
         group: &groups.groups[0],
         mesh: &tetrahedron(),
+        texture: None,
     }])
 }
 
@@ -242,7 +246,11 @@ fn our_stage_has_the_meshes_of_our_glb() {
     let assets: Vec<Asset<'_>> = groups
         .groups
         .iter()
-        .map(|group| Asset { group, mesh: &mesh })
+        .map(|group| Asset {
+            group,
+            mesh: &mesh,
+            texture: None,
+        })
         .collect();
     let own = parts(&glb(&assets)).expect("our file");
     let stage = parts(usda(&assets).as_bytes()).expect("our stage");

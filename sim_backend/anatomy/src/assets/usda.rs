@@ -33,10 +33,56 @@ pub(super) fn vector(v: [f32; 3]) -> String {
     format!("({x}, {y}, {z})")
 }
 
+/// The file of a group's texture, from the stage's folder.
+#[must_use]
+pub fn texture_file(group: &Group) -> String {
+    format!("textures/{}.png", group.name)
+}
+
+/// The shaders that read a group's texture.
+fn sampler(group: &Group) -> String {
+    let (name, file) = (prim(&group.name), texture_file(group));
+    let [r, g, b] = group.colour;
+    format!(
+        r#"
+            def Shader "Texture"
+            {{
+                uniform token info:id = "UsdUVTexture"
+                asset inputs:file = @{file}@
+                float4 inputs:fallback = ({r}, {g}, {b}, 1)
+                token inputs:sourceColorSpace = "sRGB"
+                float2 inputs:st.connect = </Patient/Materials/{name}/Coordinates.outputs:result>
+                token inputs:wrapS = "clamp"
+                token inputs:wrapT = "clamp"
+                float3 outputs:rgb
+            }}
+
+            def Shader "Coordinates"
+            {{
+                uniform token info:id = "UsdPrimvarReader_float2"
+                string inputs:varname = "st"
+                float2 outputs:result
+            }}
+"#
+    )
+}
+
 fn material(text: &mut String, asset: &Asset<'_>) {
     let group = asset.group;
     let name = prim(&group.name);
     let [r, g, b] = group.colour;
+    let (diffuse, sampled) = match asset.texture {
+        Some(_) => (
+            format!(
+                "color3f inputs:diffuseColor.connect = </Patient/Materials/{name}/Texture.outputs:rgb>"
+            ),
+            sampler(group),
+        ),
+        None => (
+            format!("color3f inputs:diffuseColor = ({r}, {g}, {b})"),
+            String::new(),
+        ),
+    };
     let _written = write!(
         text,
         r#"        def Material "{name}" (
@@ -48,14 +94,14 @@ fn material(text: &mut String, asset: &Asset<'_>) {
             def Shader "Surface"
             {{
                 uniform token info:id = "UsdPreviewSurface"
-                color3f inputs:diffuseColor = ({r}, {g}, {b})
+                {diffuse}
                 float inputs:roughness = {}
                 float inputs:metallic = 0
                 float inputs:clearcoat = {}
                 float inputs:clearcoatRoughness = 0.15
                 token outputs:surface
             }}
-        }}
+{sampled}        }}
 
 "#,
         stiffness(group, 12),

@@ -35,32 +35,38 @@ fn short(count: usize) -> [u8; 2] {
     [low, high]
 }
 
-/// The bytes of an archive with the one file `name`.
+/// The bytes of an archive with `files`, names with their bytes, the stage first.
 ///
 /// # Panics
-/// If the archive would exceed 4 GiB.
+/// If the archive would exceed 4 GiB or 65535 files.
 #[must_use]
-pub fn usdz(name: &str, bytes: &[u8]) -> Vec<u8> {
-    let begin = (HEADER_BYTES + name.len() + 4).next_multiple_of(ALIGNMENT);
-    let padding = begin - HEADER_BYTES - name.len() - 4;
-    let mut out = Vec::with_capacity(begin + bytes.len() + 256);
-    out.extend(b"PK\x03\x04");
-    out.extend(common(name, bytes, padding + 4));
-    out.extend(name.as_bytes());
-    out.extend(PADDING.to_le_bytes());
-    out.extend(short(padding));
-    out.resize(begin, 0);
-    out.extend(bytes);
-    let directory = out.len();
-    out.extend(b"PK\x01\x02\x14\0");
-    out.extend(common(name, bytes, 0));
-    // No comment, first disk, no attributes, the header at the beginning.
-    out.extend([0; 14]);
-    out.extend(name.as_bytes());
-    let length = out.len() - directory;
-    out.extend(b"PK\x05\x06\0\0\0\0\x01\0\x01\0");
-    out.extend(index(length).to_le_bytes());
-    out.extend(index(directory).to_le_bytes());
+pub fn usdz(files: &[(String, &[u8])]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut directory = Vec::new();
+    for (name, bytes) in files {
+        let header = out.len();
+        let begin = (header + HEADER_BYTES + name.len() + 4).next_multiple_of(ALIGNMENT);
+        let padding = begin - header - HEADER_BYTES - name.len() - 4;
+        out.extend(b"PK\x03\x04");
+        out.extend(common(name, bytes, padding + 4));
+        out.extend(name.as_bytes());
+        out.extend(PADDING.to_le_bytes());
+        out.extend(short(padding));
+        out.resize(begin, 0);
+        out.extend(*bytes);
+        directory.extend(b"PK\x01\x02\x14\0");
+        directory.extend(common(name, bytes, 0));
+        // No comment, first disk, no attributes.
+        directory.extend([0; 10]);
+        directory.extend(index(header).to_le_bytes());
+        directory.extend(name.as_bytes());
+    }
+    let from = out.len();
+    out.extend(&directory);
+    out.extend(b"PK\x05\x06\0\0\0\0");
+    out.extend([short(files.len()); 2].concat());
+    out.extend(index(directory.len()).to_le_bytes());
+    out.extend(index(from).to_le_bytes());
     out.extend([0; 2]);
     out
 }

@@ -59,7 +59,7 @@ pub struct Collider {
 pub enum CollisionMask {
     /// Fingers and wrists.
     Instrument,
-    /// The ground. Soft ground meets no others, and of these the ball around them.
+    /// The ground. These alone rest on soft ground, which meets the ball about each.
     Ground,
     /// Fingers, wrists and hard ground.
     Both,
@@ -132,7 +132,7 @@ impl RigidBody {
     /// A needle as a chain of capsules for fingers and hard ground alike.
     #[must_use]
     pub fn bare_needle(shape: &NeedleShape, in_scene: Pose) -> Self {
-        let mut needle = Self::sutured_needle(shape, in_scene);
+        let mut needle = Self::needle_on_any_ground(shape, in_scene);
         needle
             .pieces
             .retain(|piece| piece.meets == CollisionMask::Both);
@@ -141,7 +141,7 @@ impl RigidBody {
 
     /// A needle as a chain of capsules for fingers and hard ground alike, and of balls for the tissue.
     #[must_use]
-    pub fn sutured_needle(shape: &NeedleShape, in_scene: Pose) -> Self {
+    pub fn needle_on_any_ground(shape: &NeedleShape, in_scene: Pose) -> Self {
         let mut needle = Self::needle(shape, in_scene);
         for piece in &mut needle.pieces {
             if piece.meets == CollisionMask::Instrument {

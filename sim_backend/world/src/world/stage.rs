@@ -42,7 +42,7 @@ struct ThingOnStage {
     pieces: Vec<(Body, CollisionMask)>,
     /// Sum of the normal forces of the ground in the newest step, N.
     ground_n: f64,
-    /// Deepest overlap with the ground, m.
+    /// Deepest overlap with the ground, m; where some of that is hard, with the hard ground alone.
     ground_m: f64,
 }
 

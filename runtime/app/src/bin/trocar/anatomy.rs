@@ -9,6 +9,7 @@ use trocar::session::run::write_json;
 use trocar::session::{SessionError, anatomy, outputs};
 use trocar_anatomy::build::{LEVELS_MAX, Options, Stage};
 use trocar_anatomy::surface::Method;
+use trocar_anatomy::texture::SIDE_PX;
 
 use crate::commands::Done;
 use crate::console;
@@ -119,6 +120,9 @@ pub(crate) struct BuildArgs {
     /// Fill the groups with tetrahedra too, of a body-centred cubic lattice with cells of this side, mm, 0.5 to 50: tetrahedra.usda.
     #[arg(long, value_name = "MM", value_parser = side_mm)]
     tetrahedra: Option<f64>,
+    /// Paint a texture of this side for each group too, pixels, 16 to 8192: patient-textured.glb and patient-textured.usdz, which have them in them.
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(i64::from(SIDE_PX[0])..=i64::from(SIDE_PX[1])))]
+    textures: Option<u32>,
     /// Make so many coarser levels of detail too, 0 to 4, each with twice the error of the one before: patient-level-1.usda and following, and
     /// patient-levels.usda with all as variants (LOD).
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=i64::from(LEVELS_MAX)))]
@@ -256,6 +260,7 @@ fn build_options(args: &BuildArgs) -> Options {
         min_island_mm3: args.min_island_mm3,
         measure_stages: args.measure_stages,
         tetrahedra_mm: args.tetrahedra,
+        textures_px: args.textures,
         levels: args.levels,
         ..Options::default()
     }

@@ -150,8 +150,7 @@ impl SceneFile {
 
     fn lie(&self, patch: &Patch, site: &Site) -> PatientPlacement {
         let scan_from_scene = patch.scene_from_scan.inverse();
-        let [x, y, _] = site.centre_m;
-        let middle = scan_from_scene * Point3::new(x, y, 0.0);
+        let middle = scan_from_scene * Point3::from(site.centre_m);
         let turn = scan_from_scene.rotation.to_rotation_matrix();
         PatientPlacement {
             patient: self.patient.clone(),

@@ -11,8 +11,8 @@ use trocar_world::Shape;
 
 use super::PadShape;
 
-/// How deep the foot goes into the organ, m, and how much thicker it gets on each side for each metre down.
-const ROOT_M: f64 = 0.030;
+/// How deep the foot goes, scene z, m, and how much thicker it gets on each side for each metre down.
+pub(super) const ROOT_M: f64 = 0.030;
 const WIDENING: f64 = 0.4;
 /// Height of the foot as a share of the height at which the hole begins.
 const FOOT: f64 = 0.85;
@@ -98,8 +98,8 @@ impl<'a> Fold<'a> {
             xs.into_iter().map(section).collect()
         };
         let back = self.back(foot_m);
-        let rounded_left = || round_end(end).map(|(x, size)| (-x, size));
-        let rounded_right = || round_end(end).collect::<Vec<_>>().into_iter().rev();
+        let rounded_left = || round_end(end, hole).map(|(x, size)| (-x, size));
+        let rounded_right = || round_end(end, hole).collect::<Vec<_>>().into_iter().rev();
         [
             ended(&foot, rounded_left().chain(rounded_right()).collect()),
             straight(slab(foot_m, under_m)),
@@ -140,9 +140,9 @@ impl<'a> Fold<'a> {
     }
 }
 
-/// Places and sizes of the sections from the end at `end_m` inwards.
-fn round_end(end_m: f64) -> impl Iterator<Item = (f64, f64)> {
-    let round_m = 2.0 * ENDS * end_m;
+/// Places and sizes of the sections from the end at `end_m` inwards, not as far as `hole_m`.
+fn round_end(end_m: f64, hole_m: f64) -> impl Iterator<Item = (f64, f64)> {
+    let round_m = (2.0 * ENDS * end_m).min(0.9 * (end_m - hole_m));
     (0..=END_SECTIONS).map(move |index| {
         let (sin, cos) = (0.5 * PI * f64::from(index) / f64::from(END_SECTIONS)).sin_cos();
         (end_m - round_m * (1.0 - cos), sin.max(LEAST))
@@ -204,8 +204,17 @@ mod tests {
     /// Its solids leave the hole free, and no more than the hole.
     #[test]
     fn a_fold_has_the_pads_hole() {
-        let pad = SuturePad::shipped().pad;
-        let hulls: Vec<Vec<Point3<f64>>> = Fold::of(&pad).parts().map(|rows| rows.concat()).into();
+        for (lip_length_m, hole_half_m) in [(0.05, 0.002), (0.03, 0.003), (0.01, 0.0035)] {
+            has_its_hole(&PadShape {
+                lip_length_m,
+                hole_half_m,
+                ..SuturePad::shipped().pad
+            });
+        }
+    }
+
+    fn has_its_hole(pad: &PadShape) {
+        let hulls: Vec<Vec<Point3<f64>>> = Fold::of(pad).parts().map(|rows| rows.concat()).into();
         let (hole, half_m) = (pad.hole(), pad.hole_half_m);
         let reaches = |x: f64, z: f64| {
             hulls.iter().any(|hull| {

@@ -21,7 +21,7 @@ use trocar_world::organ::Organ;
 use trocar_world::rng::Rng;
 use trocar_world::{ArmStart, Ground, RigidBody, Scenery, SoftOrgan, Surface, WorldConfig};
 
-use fold::Fold;
+use fold::{Fold, ROOT_M};
 pub use pad::PadShape;
 use script::Driver;
 pub use success::SuccessConfig;
@@ -61,7 +61,7 @@ const ON_ORGAN: Surface = Surface {
     friction: 0.5,
     patch_m: 0.0,
 };
-const PRESSED: Surface = Surface {
+const PRESSED_ORGAN: Surface = Surface {
     stiffness_n_m: 800.0,
     damping_n_s_m: 4.0,
     friction: 0.3,
@@ -160,7 +160,7 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
         let start = file.needle_start.on_organ(&file.needle);
         let fits = |organ: &Organ| {
             start.check_on(source, &file.needle, organ)?;
-            check_hole(source, &file.pad, organ)
+            check_fold(source, &file.pad, organ)
         };
         Ok(Arc::new(scene.load(source, &site, fits)?))
     });
@@ -186,19 +186,30 @@ fn site(pad: &PadShape, start: &PadStart, needle: &NeedleShape) -> Site {
     }
 }
 
-/// Checks that the hole of a fold is above `organ`, from which a needle comes and where it goes.
-fn check_hole(source: &Source, pad: &PadShape, organ: &Organ) -> Result<(), ConfigError> {
-    let below_m = pad.hole_height_m - pad.hole_half_m;
-    let ways_m = [-WAY_M, 0.0, WAY_M].map(|way_m| pad.hole().y + way_m);
-    let highest_m = ways_m.map(|y| organ.height_m(0.0, y));
-    let highest_m = highest_m.into_iter().fold(f64::NEG_INFINITY, f64::max);
-    let highest = format!("a surface at z = {highest_m:.4} m");
-    let allowed = format!("below the fold's hole, at most {below_m} m");
-    if highest_m <= below_m {
-        Ok(())
-    } else {
-        Err(source.out_of_range("scene.organ", &highest, &allowed))
+/// Checks that the hole of a fold is above `organ`, from which a needle comes and where it goes, and that its foot is in it.
+fn check_fold(source: &Source, pad: &PadShape, organ: &Organ) -> Result<(), ConfigError> {
+    let refused = |key: &str, value_m: f64, reason: String| {
+        Err(source.refused(&format!("pad.{key}"), &format!("{value_m}"), &reason))
+    };
+    let (hole, begins_m) = (pad.hole(), pad.hole_height_m - pad.hole_half_m);
+    let ways_m = [-WAY_M, 0.0, WAY_M].map(|way_m| organ.height_m(0.0, hole.y + way_m));
+    let highest_m = ways_m.into_iter().fold(f64::NEG_INFINITY, f64::max);
+    if highest_m > begins_m {
+        let [organ, hole] = [highest_m, begins_m].map(|height_m| 1e3 * height_m);
+        let reason =
+            format!("the organ reaches up to {organ:.1} mm, the hole begins at {hole:.1} mm");
+        return refused("hole_height_m", pad.hole_height_m, reason);
     }
+    let end_m = 0.5 * pad.lip_length_m;
+    let along_m = [-1.0, -0.75, -0.5, 0.5, 0.75, 1.0].map(|share| share * end_m);
+    if along_m
+        .into_iter()
+        .any(|x| organ.height_m(x, hole.y) < -ROOT_M)
+    {
+        let reason = "the foot of a fold of this length is not in the organ everywhere";
+        return refused("lip_length_m", pad.lip_length_m, reason.to_owned());
+    }
+    Ok(())
 }
 
 /// A patient's organ as things meet it.
@@ -251,10 +262,10 @@ impl TaskScene for SuturePad {
             let soft = SoftOrgan {
                 organ,
                 ground: ON_ORGAN,
-                press: PRESSED,
+                press: PRESSED_ORGAN,
             };
             (
-                RigidBody::sutured_needle(&self.needle, in_scene),
+                RigidBody::needle_on_any_ground(&self.needle, in_scene),
                 Ground::OrganWithSolids(soft, Fold::of(&self.pad).solids()),
             )
         } else {
@@ -327,11 +338,9 @@ impl TaskScene for SuturePad {
     }
 
     fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
-        let organs = patient::count(self.patient(), 0);
-        let still = if organs == 0 {
-            LAYERS.len()
-        } else {
-            organs + FOLD_VISUALS
+        let still = match self.patient() {
+            Some(patient) => patient::count(Some(patient), 0) + FOLD_VISUALS,
+            None => LAYERS.len(),
         };
         iter::repeat_n(Pose::identity(), still)
             .chain([things[0]])

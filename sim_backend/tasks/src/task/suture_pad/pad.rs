@@ -58,7 +58,13 @@ impl PadShape {
             -back_m,
             back_m - self.lip_thickness_m,
         )?;
-        check("hole_half_m", self.hole_half_m, 0.000_5, 0.005)?;
+        let beside_m = 0.45 * self.lip_length_m;
+        check(
+            "hole_half_m",
+            self.hole_half_m,
+            0.000_5,
+            beside_m.min(0.005),
+        )?;
         check(
             "hole_height_m",
             self.hole_height_m,

@@ -20,7 +20,7 @@ pub struct SuccessConfig {
     pub hold_s: f64,
     /// Largest penetration depth of the fingers and the needle, m; deeper is a fault of the simulation.
     pub penetration_m_max: f64,
-    /// Largest penetration depth of the needle and the pad, m; deeper is a fault of the simulation. An organ gives way.
+    /// Largest penetration depth of the needle and the pad, or the fold of an organ, m; deeper is a fault of the simulation.
     pub sunk_m_max: f64,
     /// Speed of the needle's point above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,
@@ -45,15 +45,14 @@ impl SuccessConfig {
         };
         check("through_m", self.through_m, 0.001, 0.03)?;
         check("hold_s", self.hold_s, 0.05, 10.0)?;
-        self.limits(true).check(source, "needle")?;
+        self.limits().check(source, "needle")?;
         self.press.check(source)
     }
 
-    /// Its limits for a needle on a hard pad, or on one that gives way.
-    const fn limits(&self, is_hard: bool) -> Limits {
+    const fn limits(&self) -> Limits {
         Limits {
             penetration_m: self.penetration_m_max,
-            sunk_m: if is_hard { Some(self.sunk_m_max) } else { None },
+            sunk_m: Some(self.sunk_m_max),
             speed_m_s: self.needle_speed_m_s_max,
             force_n: self.needle_force_n_max,
             gain_j: self.needle_gain_j_max,
@@ -77,7 +76,7 @@ impl SuccessMonitor {
     pub(super) fn new(scene: &SuturePad) -> Self {
         let (config, organ) = (scene.success.clone(), scene.organ());
         let ground = if organ.is_some() { "organ" } else { "pad" };
-        let limits = config.limits(organ.is_none());
+        let limits = config.limits();
         Self {
             organ,
             pad: scene.pad,

@@ -13,7 +13,8 @@ use hal::Pose;
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 use trocar_render::visual::{Backdrop, Material, Pattern, Visual, instance};
-use trocar_world::tissue::{NODES_MAX, Patch, RetractionConfig, TissueConfig};
+use trocar_world::organ::Organ;
+use trocar_world::tissue::{NODES_MAX, Patch, RetractionConfig, Tissue, TissueConfig};
 use trocar_world::{ArmStart, Flap, Ground, Scenery, WorldConfig};
 
 pub use liver::LiverShape;
@@ -48,6 +49,8 @@ const SKIN: Material = Material {
 };
 /// How many visuals show what the flap lies on without a patient.
 const MADE_UP: usize = 2;
+/// Stretch of a flap at rest on a patient's organ, at most.
+const REST_STRETCH_MAX: f64 = 0.2;
 /// How far before and behind the plateau a patient's organ is felt, m.
 const WAY_M: f64 = 0.040;
 /// Ink.
@@ -121,7 +124,9 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     };
     let patient = file.scene.as_ref().map(|scene| {
         let site = site(&file.liver, &file.tissue);
-        Ok(Arc::new(scene.load(source, &site, |_| Ok(()))?))
+        Ok(Arc::new(scene.load(source, &site, |organ| {
+            check_lies(source, &file.tissue, organ)
+        })?))
     });
     let scene = TissueRetraction {
         patient: patient.transpose()?,
@@ -133,6 +138,25 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     Ok((common, Box::new(scene)))
 }
 
+/// Checks that the flap comes to rest on `organ` without being stretched.
+fn check_lies(source: &Source, tissue: &TissueConfig, organ: &Organ) -> Result<(), ConfigError> {
+    let Organ::Measured(ground) = organ else {
+        return Ok(());
+    };
+    let rests = Tissue::new(tissue, (**ground).clone(), 0, &[]);
+    let stretch = rests.sheet().stretch_max();
+    if stretch <= REST_STRETCH_MAX {
+        return Ok(());
+    }
+    let [length_mm, depth_mm] = [tissue.length_m, tissue.depth_m].map(|size_m| 1e3 * size_m);
+    let [percent, most] = [stretch, REST_STRETCH_MAX].map(|stretch| 1e2 * stretch);
+    let reason = format!(
+        "a flap of {length_mm:.0} mm x {depth_mm:.0} mm would be stretched by {percent:.0} % as it lies there, of at most {most:.0} %"
+    );
+    let at = format!("{:?}", tissue.edge_m);
+    Err(source.refused("tissue.edge_m", &at, &reason))
+}
+
 /// What the scene needs of a patient's organ: what the plateau covers and the way to it, cut away before the plateau's near side.
 fn site(liver: &LiverShape, tissue: &TissueConfig) -> Site {
     let half_m = [0, 1].map(|axis| liver.low_m[axis].abs().max(liver.high_m[axis].abs()));
@@ -141,6 +165,7 @@ fn site(liver: &LiverShape, tissue: &TissueConfig) -> Site {
         centre_m: [0.0; 3],
         incision: Some(Incision {
             front_m: liver.low_m[1],
+            middle_m: tissue.edge_m[0],
             half_m: 0.5 * tissue.length_m,
         }),
     }

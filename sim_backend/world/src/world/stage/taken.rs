@@ -70,7 +70,10 @@ impl Stage {
                 [_, Side::RigidBody(thing)] => {
                     let thing = &mut self.things[thing];
                     thing.ground_n += force_n;
-                    thing.ground_m = thing.ground_m.max(-row.gap_m);
+                    // Soft ground beside hard one gives way as it should.
+                    if self.solids.is_empty() || contact.surface == self.hard[0] {
+                        thing.ground_m = thing.ground_m.max(-row.gap_m);
+                    }
                 }
                 [_, Side::Ground] => {}
             }

@@ -1,0 +1,118 @@
+//! Noise over space: smooth numbers and cells that depend on the place and a seed alone.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+/// A number from 0 to 1 of a corner of the integer lattice (the finaliser of Austin Appleby's MurmurHash3).
+fn lattice(corner: [i64; 3], seed: u64) -> f64 {
+    const STEPS: [u64; 3] = [
+        0x9E37_79B9_7F4A_7C15,
+        0xC2B2_AE3D_27D4_EB4F,
+        0x1656_67B1_9E37_79F9,
+    ];
+    let mut hash = seed;
+    for (at, step) in corner.into_iter().zip(STEPS) {
+        hash = (hash ^ at.cast_unsigned()).wrapping_mul(step);
+        hash ^= hash >> 33;
+    }
+    hash = (hash ^ (hash >> 33)).wrapping_mul(0xFF51_AFD7_ED55_8CCD);
+    hash = (hash ^ (hash >> 33)).wrapping_mul(0xC4CE_B9FE_1A85_EC53);
+    #[expect(clippy::cast_precision_loss, reason = "53 bits are a number's")]
+    let number = ((hash ^ (hash >> 33)) >> 11) as f64;
+    number / 9_007_199_254_740_992.0
+}
+
+/// The cell of the lattice that `p` lies in, and where in it.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "places in a body, and casts saturate"
+)]
+fn cell(p: &Point3<f64>) -> ([i64; 3], Vector3<f64>) {
+    let low = p.coords.map(f64::floor);
+    ([low.x as i64, low.y as i64, low.z as i64], p.coords - low)
+}
+
+/// A turn that takes the lattice's axes away from the body's, along which charts lie.
+const TURN: Matrix3<f64> = Matrix3::new(
+    2.0 / 3.0,
+    -2.0 / 3.0,
+    1.0 / 3.0, //
+    1.0 / 3.0,
+    2.0 / 3.0,
+    2.0 / 3.0, //
+    -2.0 / 3.0,
+    -1.0 / 3.0,
+    2.0 / 3.0,
+);
+
+/// Gradient noise (K. Perlin, "Improving noise", 2002) from -1 to 1 that changes over a length of 1.
+pub(super) fn noise(p: &Point3<f64>, seed: u64) -> f64 {
+    let (low, within) = cell(&(TURN * p));
+    let eased = within.map(|t| t * t * t * (t * (6.0 * t - 15.0) + 10.0));
+    let mut sum = 0.0;
+    for corner in 0..8_i64 {
+        let step = [corner & 1, corner >> 1 & 1, corner >> 2];
+        let weight: f64 = (0..3)
+            .map(|axis| {
+                if step[axis] == 1 {
+                    eased[axis]
+                } else {
+                    1.0 - eased[axis]
+                }
+            })
+            .product();
+        let at = [0, 1, 2].map(|axis| low[axis] + step[axis]);
+        let gradient =
+            Vector3::from([0, 1, 2].map(|axis| 2.0 * lattice(at, seed + 7919 * axis) - 1.0));
+        sum += weight * gradient.dot(&(within - Vector3::from(step.map(small))));
+    }
+    // It stays within 0.7 nearly everywhere.
+    (1.4 * sum).clamp(-1.0, 1.0)
+}
+
+/// `p` moved by up to `far` in each direction, differently from place to place.
+pub(super) fn warped(p: &Point3<f64>, far: f64, seed: u64) -> Point3<f64> {
+    p + Vector3::from([0, 1, 2].map(|axis| far * noise(&(p * 0.7), seed + axis)))
+}
+
+/// Noise of four sizes, each half the one before and half as strong, from -1 to 1.
+pub(super) fn clouds(p: &Point3<f64>, seed: u64) -> f64 {
+    let octave = |(octave, seed): (i32, u64)| {
+        let scale = 2.0_f64.powi(octave);
+        noise(&(p * scale), seed) / scale
+    };
+    (0..4)
+        .zip((0..).map(|step| seed + 1000 * step))
+        .map(octave)
+        .sum::<f64>()
+        / 1.875
+}
+
+/// Distances to the nearest of scattered points, one a cell of the lattice, and to the second one.
+pub(super) fn cells(p: &Point3<f64>, seed: u64) -> (f64, f64) {
+    let (low, within) = cell(&(TURN * p));
+    let (mut near, mut second) = (f64::INFINITY, f64::INFINITY);
+    for index in 0..27_i64 {
+        let step = [index % 3 - 1, index / 3 % 3 - 1, index / 9 - 1];
+        let corner = [0, 1, 2].map(|axis| low[axis] + step[axis]);
+        let scattered = Vector3::from([0, 1, 2].map(|axis| lattice(corner, seed + 7919 * axis)));
+        let distance = (Vector3::from(step.map(small)) + scattered - within).norm();
+        if distance < near {
+            (near, second) = (distance, near);
+        } else {
+            second = second.min(distance);
+        }
+    }
+    (near, second)
+}
+
+/// From 0 to 1 while `at` goes from 0 to `to`, level at both ends.
+pub(super) fn rise(at: f64, to: f64) -> f64 {
+    let share = (at / to).clamp(0.0, 1.0);
+    share * share * (3.0 - 2.0 * share)
+}
+
+/// A step of the lattice as a number.
+#[expect(clippy::cast_precision_loss, reason = "-1, 0 or 1")]
+const fn small(step: i64) -> f64 {
+    step as f64
+}
