@@ -318,7 +318,8 @@ fn textured(patient: &Patient, groups: &Groups) -> io::Result<[(String, Option<V
     let Some(side) = patient.report.options.textures_px else {
         return Ok(["glb", "usdz"].map(|suffix| file(suffix, None)));
     };
-    let meshes = patient.meshes.par_iter();
+    // One after another: a texture is painted on all cores, and takes 50 bytes a pixel meanwhile.
+    let meshes = patient.meshes.iter();
     let paint = |mesh: &GroupMesh| png(&groups.groups[mesh.group], mesh, side);
     let pictures: Result<Vec<Vec<u8>>, _> = meshes.map(paint).collect();
     let pictures = pictures.map_err(io::Error::other)?;

@@ -1,4 +1,4 @@
-//! Base-colour textures: what tissue looks like near by, painted over a mesh's texture square.
+//! Base-colour textures: what tissue looks like near by, painted over a mesh's UV square.
 //!
 //! A colour depends on the place in the scan, so it goes on across seams, and neighbours that share a surface share their pattern.
 
@@ -15,10 +15,10 @@ use serde::Deserialize;
 use crate::groups::Group;
 use crate::mesh::GroupMesh;
 use crate::number::{floor_to, real};
-use noise::{cells, clouds, noise, rise, warped};
+use noise::{domain_warped, fractal, noise, smoothstep, worley};
 
 /// Smallest and largest side, pixels.
-pub const SIDE_PX: [u32; 2] = [16, 8192];
+pub const SIDE_PX: [u32; 2] = [16, 2048];
 
 /// What the surface of a tissue shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -38,8 +38,8 @@ pub enum Pattern {
 
 /// Dark blood in the vessels of a serosa, linear RGB.
 const BLOOD: [f64; 3] = [0.24, 0.015, 0.015];
-/// How far around a chart its colours go on, pixels: filters look there.
-const BLEED_PX: usize = 4;
+/// How far charts are dilated, pixels: for filters, and two levels of mipmaps.
+const DILATION_PX: usize = 4;
 
 /// Widths of vessels, as shares of the distance between them; distances, mm; and how much blood shows.
 const VESSELS: [(f64, f64, f64); 2] = [(0.06, 13.0, 0.75), (0.05, 5.0, 0.45)];
@@ -50,19 +50,19 @@ impl Pattern {
         let shaded = |shade: f64| base.map(|channel| (channel * shade).clamp(0.0, 1.0));
         match self {
             Self::Parenchyma => {
-                let (near, second) = cells(&(p / 1.7), 11);
-                let border = rise(second - near, 0.14);
-                let shade = 1.0 + 0.32 * clouds(&(p / 11.0), 12) + 0.16 * clouds(&(p / 2.1), 13);
+                let (near, second) = worley(&(p / 1.7), 11);
+                let border = smoothstep(second - near, 0.14);
+                let shade = 1.0 + 0.32 * fractal(&(p / 11.0), 12) + 0.16 * fractal(&(p / 2.1), 13);
                 shaded(shade * (0.86 + 0.16 * border))
             }
             Self::Serosa => {
-                let shade = 1.0 + 0.14 * clouds(&(p / 10.0), 21) + 0.05 * noise(&(p / 1.3), 22);
+                let shade = 1.0 + 0.14 * fractal(&(p / 10.0), 21) + 0.05 * noise(&(p / 1.3), 22);
                 let mut colour = shaded(shade);
                 for (seed, (width, apart_mm, much)) in (100..).step_by(100).zip(VESSELS) {
                     // A surface where noise changes its sign cuts the organ's in lines; not all of them are vessels.
-                    let winding = warped(&(p / apart_mm), 0.5, seed + 2);
-                    let line = 1.0 - rise(noise(&winding, seed).abs(), width);
-                    let there = rise(noise(&(p / (2.5 * apart_mm)), seed + 1) + 0.25, 0.3);
+                    let winding = domain_warped(&(p / apart_mm), 0.5, seed + 2);
+                    let line = 1.0 - smoothstep(noise(&winding, seed).abs(), width);
+                    let there = smoothstep(noise(&(p / (2.5 * apart_mm)), seed + 1) + 0.25, 0.3);
                     let share = much * line * there;
                     for (channel, blood) in colour.iter_mut().zip(BLOOD) {
                         *channel += share * (blood - *channel);
@@ -74,13 +74,13 @@ impl Pattern {
                 let along = Vector3::new(1.0, 1.0, 0.07);
                 let fibre = |size_mm: f64| Point3::from(p.coords.component_mul(&along) / size_mm);
                 let strands = 0.24 * noise(&fibre(1.6), 31) + 0.16 * noise(&fibre(0.6), 32);
-                shaded(1.0 + strands + 0.10 * clouds(&(p / 14.0), 33))
+                shaded(1.0 + strands + 0.10 * fractal(&(p / 14.0), 33))
             }
             Self::Bone => {
-                shaded(1.0 + 0.10 * clouds(&(p / 6.0), 41) + 0.05 * clouds(&(p / 1.2), 42))
+                shaded(1.0 + 0.10 * fractal(&(p / 6.0), 41) + 0.05 * fractal(&(p / 1.2), 42))
             }
             Self::Plain => {
-                shaded(1.0 + 0.08 * clouds(&(p / 9.0), 51) + 0.03 * noise(&(p / 1.1), 52))
+                shaded(1.0 + 0.08 * fractal(&(p / 9.0), 51) + 0.03 * noise(&(p / 1.1), 52))
             }
         }
     }
@@ -125,8 +125,8 @@ fn places(mesh: &GroupMesh, side: usize) -> Vec<Option<Point3<f64>>> {
     places
 }
 
-/// Lets the colours at the border of charts go on for a pixel.
-fn bleed(pixels: &mut [Option<[u8; 3]>], side: usize) {
+/// Dilates the charts by a pixel.
+fn dilate(pixels: &mut [Option<[u8; 3]>], side: usize) {
     let before = pixels.to_vec();
     let at = |column: usize, row: usize| before.get(row * side + column).copied().flatten();
     for row in 0..side {
@@ -175,8 +175,8 @@ pub fn png(group: &Group, mesh: &GroupMesh, side: u32) -> Result<Vec<u8>, ImageE
         Some(encoded(group.pattern.colour(group.colour, place)))
     };
     let mut pixels: Vec<Option<[u8; 3]>> = places(mesh, length).par_iter().map(painted).collect();
-    for _ in 0..BLEED_PX {
-        bleed(&mut pixels, length);
+    for _ in 0..DILATION_PX {
+        dilate(&mut pixels, length);
     }
     let elsewhere = encoded(group.colour);
     let bytes: Vec<u8> = pixels

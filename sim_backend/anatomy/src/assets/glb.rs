@@ -65,6 +65,8 @@ impl Document {
             let surface = &mut material["pbrMetallicRoughness"];
             surface["baseColorFactor"] = json!([1.0, 1.0, 1.0, 1.0]);
             surface["baseColorTexture"] = json!({"index": self.images.len()});
+            // What is read of our files is the colour, not its texture.
+            material["extras"] = json!({"colour": group.colour});
             let image = json!({"name": group.name, "mimeType": "image/png", "bufferView": view});
             self.images.push(image);
         }
@@ -106,7 +108,7 @@ impl Document {
             let textures: Vec<Value> = (0..self.images.len()).map(texture).collect();
             document["images"] = json!(self.images);
             document["textures"] = json!(textures);
-            // Linear, with mipmaps, cut off at the edges.
+            // Linear, with mipmaps, clamped to the edge.
             document["samplers"] =
                 json!([{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}]);
         }

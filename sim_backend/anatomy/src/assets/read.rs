@@ -109,6 +109,15 @@ struct MaterialFile {
     base: Base,
     #[serde(default)]
     extensions: Extensions,
+    #[serde(default)]
+    extras: MaterialExtras,
+}
+
+/// What only our files say.
+#[derive(Default, Deserialize)]
+struct MaterialExtras {
+    /// The group's colour, where a texture has taken its place.
+    colour: Option<[f32; 3]>,
 }
 
 #[derive(Deserialize)]
@@ -212,6 +221,7 @@ impl Content<'_> {
         let surface = self.document.materials.get(material);
         let surface = surface.ok_or_else(|| format!("{name}: it has no material {material}"))?;
         let [r, g, b, _] = surface.base.base_color_factor;
+        let [r, g, b] = surface.extras.colour.unwrap_or([r, g, b]);
         let film = surface.extensions.film.clearcoat_factor;
         let looks = [r, g, b, surface.base.roughness_factor, film];
         let mut of = |accessor, kind| {

@@ -105,6 +105,32 @@ fn file() -> Vec<u8> {
     }])
 }
 
+/// A textured file is read with the colour of its group, not with the white that its texture is multiplied with.
+#[test]
+fn a_textured_file_keeps_the_colour_of_its_group() {
+    let groups = Groups::load("vista3d").expect("the table is right");
+    let (group, mut mesh) = (&groups.groups[0], tetrahedron());
+    crate::atlas::unwrap(&mut mesh);
+    let png = crate::texture::png(group, &mesh, 16).expect("a PNG");
+    let asset = Asset {
+        group,
+        mesh: &mesh,
+        texture: Some(&png),
+    };
+    let [textured, plain] = [
+        asset,
+        Asset {
+            texture: None,
+            ..asset
+        },
+    ]
+    .map(|asset| parts(&glb(&[asset])).expect("our own file").remove(0));
+    assert_eq!(
+        textured.colour.map(f32::to_bits),
+        plain.colour.map(f32::to_bits)
+    );
+}
+
 #[test]
 fn what_is_written_is_read_again() {
     let parts = parts(&file()).expect("our own file");

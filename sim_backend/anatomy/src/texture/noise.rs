@@ -1,4 +1,4 @@
-//! Noise over space: smooth numbers and cells that depend on the place and a seed alone.
+//! Noise over space that depends on the place and a seed alone.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -31,8 +31,8 @@ fn cell(p: &Point3<f64>) -> ([i64; 3], Vector3<f64>) {
     ([low.x as i64, low.y as i64, low.z as i64], p.coords - low)
 }
 
-/// A turn that takes the lattice's axes away from the body's, along which charts lie.
-const TURN: Matrix3<f64> = Matrix3::new(
+/// Rotation of the lattice's axes away from the body's, along which charts lie.
+const ROTATION: Matrix3<f64> = Matrix3::new(
     2.0 / 3.0,
     -2.0 / 3.0,
     1.0 / 3.0, //
@@ -46,7 +46,7 @@ const TURN: Matrix3<f64> = Matrix3::new(
 
 /// Gradient noise (K. Perlin, "Improving noise", 2002) from -1 to 1 that changes over a length of 1.
 pub(super) fn noise(p: &Point3<f64>, seed: u64) -> f64 {
-    let (low, within) = cell(&(TURN * p));
+    let (low, within) = cell(&(ROTATION * p));
     let eased = within.map(|t| t * t * t * (t * (6.0 * t - 15.0) + 10.0));
     let mut sum = 0.0;
     for corner in 0..8_i64 {
@@ -69,13 +69,13 @@ pub(super) fn noise(p: &Point3<f64>, seed: u64) -> f64 {
     (1.4 * sum).clamp(-1.0, 1.0)
 }
 
-/// `p` moved by up to `far` in each direction, differently from place to place.
-pub(super) fn warped(p: &Point3<f64>, far: f64, seed: u64) -> Point3<f64> {
+/// Domain warping: `p` moved by up to `far` in each direction by noise.
+pub(super) fn domain_warped(p: &Point3<f64>, far: f64, seed: u64) -> Point3<f64> {
     p + Vector3::from([0, 1, 2].map(|axis| far * noise(&(p * 0.7), seed + axis)))
 }
 
-/// Noise of four sizes, each half the one before and half as strong, from -1 to 1.
-pub(super) fn clouds(p: &Point3<f64>, seed: u64) -> f64 {
+/// Fractal noise: four octaves, each half as strong as the one before, from -1 to 1.
+pub(super) fn fractal(p: &Point3<f64>, seed: u64) -> f64 {
     let octave = |(octave, seed): (i32, u64)| {
         let scale = 2.0_f64.powi(octave);
         noise(&(p * scale), seed) / scale
@@ -87,9 +87,10 @@ pub(super) fn clouds(p: &Point3<f64>, seed: u64) -> f64 {
         / 1.875
 }
 
-/// Distances to the nearest of scattered points, one a cell of the lattice, and to the second one.
-pub(super) fn cells(p: &Point3<f64>, seed: u64) -> (f64, f64) {
-    let (low, within) = cell(&(TURN * p));
+/// Worley noise (S. Worley, "A cellular texture basis function", 1996): distances to the nearest of scattered points, one a cell of the
+/// lattice, and to the second one (F1, F2).
+pub(super) fn worley(p: &Point3<f64>, seed: u64) -> (f64, f64) {
+    let (low, within) = cell(&(ROTATION * p));
     let (mut near, mut second) = (f64::INFINITY, f64::INFINITY);
     for index in 0..27_i64 {
         let step = [index % 3 - 1, index / 3 % 3 - 1, index / 9 - 1];
@@ -105,8 +106,8 @@ pub(super) fn cells(p: &Point3<f64>, seed: u64) -> (f64, f64) {
     (near, second)
 }
 
-/// From 0 to 1 while `at` goes from 0 to `to`, level at both ends.
-pub(super) fn rise(at: f64, to: f64) -> f64 {
+/// Smoothstep from 0 at 0 to 1 at `to`.
+pub(super) fn smoothstep(at: f64, to: f64) -> f64 {
     let share = (at / to).clamp(0.0, 1.0);
     share * share * (3.0 - 2.0 * share)
 }

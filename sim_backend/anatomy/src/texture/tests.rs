@@ -34,6 +34,8 @@ fn pixels(png: &[u8]) -> image::RgbImage {
 fn pixels_have_the_colours_of_their_places() {
     let groups = Groups::load("groups").unwrap();
     let (mesh, side) = (tetrahedron(), 256_u32);
+    // How far all are apart, and how far where v is taken for downwards.
+    let mut sums = [0, 0];
     for group in &groups.groups {
         let picture = pixels(&png(group, &mesh, side).unwrap());
         let mut apart = 0;
@@ -48,19 +50,24 @@ fn pixels_have_the_colours_of_their_places() {
                         .map(|k| f64::from(mesh.uv[triangle][k][axis]) * shares[k])
                         .sum::<f64>()
                 });
-                let [column, row] =
-                    [at[0], 1.0 - at[1]].map(|share| floor_to(share * f64::from(side), 255));
-                let seen =
-                    picture.get_pixel(u32::try_from(column).unwrap(), u32::try_from(row).unwrap());
                 let wanted = encoded(group.pattern.colour(group.colour, &Point3::from(place)));
-                apart = (0..3)
-                    .map(|k| i32::from(seen[k].abs_diff(wanted[k])))
-                    .fold(apart, i32::max);
+                let off = |v: f64| {
+                    let at = [at[0], v].map(|share| floor_to(share * f64::from(side), 255));
+                    let [column, row] = at.map(|pixel| u32::try_from(pixel).unwrap());
+                    let seen = picture.get_pixel(column, row);
+                    (0..3)
+                        .map(|k| i32::from(seen[k].abs_diff(wanted[k])))
+                        .fold(0, i32::max)
+                };
+                let offs = [off(1.0 - at[1]), off(at[1])];
+                apart = apart.max(offs[0]);
+                sums = [0, 1].map(|way| sums[way] + offs[way]);
             }
         }
         // Half a pixel is less than 0.2 mm.
         assert!(apart < 40, "{}: {apart}", group.name);
     }
+    assert!(2 * sums[0] < sums[1], "{sums:?}");
 }
 
 /// Patterns keep a group's colour in the mean, differ from place to place, and repeat to the bit.
@@ -100,16 +107,20 @@ fn colours_go_on_beyond_charts() {
     let picture = pixels(&png(&groups.groups[0], &mesh, 128).unwrap());
     let inside: Vec<bool> = places(&mesh, side).iter().map(Option::is_some).collect();
     let elsewhere = encoded(groups.groups[0].colour);
-    let mut beyond = 0;
+    let (mut borders, mut beyond) = (0, 0);
     for row in 0..side {
         for column in 1..side {
             let pair = [inside[row * side + column - 1], inside[row * side + column]];
             if pair == [true, false] {
                 let pixel =
                     picture.get_pixel(u32::try_from(column).unwrap(), u32::try_from(row).unwrap());
+                borders += 1;
                 beyond += u32::from(pixel.0 != elsewhere);
             }
         }
     }
-    assert!(beyond > 50, "{beyond}");
+    assert!(
+        borders > 50 && 10 * beyond > 9 * borders,
+        "{beyond} {borders}"
+    );
 }

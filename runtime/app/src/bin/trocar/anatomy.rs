@@ -120,7 +120,8 @@ pub(crate) struct BuildArgs {
     /// Fill the groups with tetrahedra too, of a body-centred cubic lattice with cells of this side, mm, 0.5 to 50: tetrahedra.usda.
     #[arg(long, value_name = "MM", value_parser = side_mm)]
     tetrahedra: Option<f64>,
-    /// Paint a texture of this side for each group too, pixels, 16 to 8192: patient-textured.glb and patient-textured.usdz, which have them in them.
+    /// Paint a texture of this side for each group too, pixels, 16 to 2048: patient-textured.glb and patient-textured.usdz, which
+    /// have them embedded.
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(i64::from(SIDE_PX[0])..=i64::from(SIDE_PX[1])))]
     textures: Option<u32>,
     /// Make so many coarser levels of detail too, 0 to 4, each with twice the error of the one before: patient-level-1.usda and following, and

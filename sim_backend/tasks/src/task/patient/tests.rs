@@ -347,7 +347,7 @@ fn a_flap_that_does_not_lie_on_the_liver_is_refused() {
     let refused = TaskConfig::parse("tissue-retraction", &source).unwrap_err();
     let refused = refused.to_string();
     assert!(
-        refused.contains("tissue.edge_m") && refused.contains("would be stretched"),
+        refused.contains("tissue.edge_m") && refused.contains("150 mm x 48 mm would be stretched"),
         "{refused}"
     );
 }

@@ -186,7 +186,8 @@ fn site(pad: &PadShape, start: &PadStart, needle: &NeedleShape) -> Site {
     }
 }
 
-/// Checks that the hole of a fold is above `organ`, from which a needle comes and where it goes, and that its foot is in it.
+/// Checks that the middle of a fold's hole is above `organ`, from where a needle comes to where it goes, and that its foot is in it along the
+/// fold's middle line.
 fn check_fold(source: &Source, pad: &PadShape, organ: &Organ) -> Result<(), ConfigError> {
     let refused = |key: &str, value_m: f64, reason: String| {
         Err(source.refused(&format!("pad.{key}"), &format!("{value_m}"), &reason))

@@ -138,7 +138,7 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     Ok((common, Box::new(scene)))
 }
 
-/// Checks that the flap comes to rest on `organ` without being stretched.
+/// Checks that the flap comes to rest on `organ` without being stretched by more than [`REST_STRETCH_MAX`].
 fn check_lies(source: &Source, tissue: &TissueConfig, organ: &Organ) -> Result<(), ConfigError> {
     let Organ::Measured(ground) = organ else {
         return Ok(());
@@ -151,7 +151,7 @@ fn check_lies(source: &Source, tissue: &TissueConfig, organ: &Organ) -> Result<(
     let [length_mm, depth_mm] = [tissue.length_m, tissue.depth_m].map(|size_m| 1e3 * size_m);
     let [percent, most] = [stretch, REST_STRETCH_MAX].map(|stretch| 1e2 * stretch);
     let reason = format!(
-        "a flap of {length_mm:.0} mm x {depth_mm:.0} mm would be stretched by {percent:.0} % as it lies there, of at most {most:.0} %"
+        "a flap of {length_mm:.0} mm x {depth_mm:.0} mm would be stretched by {percent:.0} % on the flattest place of the organ and elsewhere by more than {most:.0} % too"
     );
     let at = format!("{:?}", tissue.edge_m);
     Err(source.refused("tissue.edge_m", &at, &reason))
