@@ -273,9 +273,9 @@ fn assets<'a>(meshes: &'a [GroupMesh], groups: &'a Groups) -> Vec<Asset<'a>> {
     meshes.iter().map(plain).collect()
 }
 
-/// Writes `patient.glb`, `patient.usda`, the same in `patient.usdz`, `patient.json` (the report) and, if there are any, `tetrahedra.usda`,
-/// `patient-textured.glb` and `.usdz`, and coarser levels (`patient-level-1.usda` and following) with `patient-levels.usda`, which has all as variants, into `folder`, which is
-/// made.
+/// Writes `patient.glb`, `patient.usda`, the same in `patient.usdz`, `patient.json` (the report) and, as far as they were asked for,
+/// `tetrahedra.usda`, `patient-textured.glb` and `.usdz`, and coarser levels (`patient-level-1.usda` and following) with
+/// `patient-levels.usda`, which has all as variants, into `folder`, which is made.
 ///
 /// # Errors
 /// [`BuildError::Unwritable`].

@@ -1,24 +1,12 @@
 //! Noise over space that depends on the place and a seed alone.
 
+use hal::random::SplitMix64;
 use nalgebra::{Matrix3, Point3, Vector3};
 
-/// A number from 0 to 1 of a corner of the integer lattice (the finaliser of Austin Appleby's MurmurHash3).
+/// A number from 0 to 1 of a corner of the integer lattice.
 fn lattice(corner: [i64; 3], seed: u64) -> f64 {
-    const STEPS: [u64; 3] = [
-        0x9E37_79B9_7F4A_7C15,
-        0xC2B2_AE3D_27D4_EB4F,
-        0x1656_67B1_9E37_79F9,
-    ];
-    let mut hash = seed;
-    for (at, step) in corner.into_iter().zip(STEPS) {
-        hash = (hash ^ at.cast_unsigned()).wrapping_mul(step);
-        hash ^= hash >> 33;
-    }
-    hash = (hash ^ (hash >> 33)).wrapping_mul(0xFF51_AFD7_ED55_8CCD);
-    hash = (hash ^ (hash >> 33)).wrapping_mul(0xC4CE_B9FE_1A85_EC53);
-    #[expect(clippy::cast_precision_loss, reason = "53 bits are a number's")]
-    let number = ((hash ^ (hash >> 33)) >> 11) as f64;
-    number / 9_007_199_254_740_992.0
+    let mixed = |hash: u64, at: i64| SplitMix64::new(hash ^ at.cast_unsigned()).next_u64();
+    SplitMix64::new(corner.into_iter().fold(seed, mixed)).unit()
 }
 
 /// The cell of the lattice that `p` lies in, and where in it.

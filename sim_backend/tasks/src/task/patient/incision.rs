@@ -47,8 +47,7 @@ impl Incision {
 
     /// How long edges of the mesh may be at `at`, m; none where it is not cut.
     pub(super) fn edge_m(&self, at: &Point3<f64>) -> Option<f64> {
-        let (depth_m, slope) = self.depth_m(at.x, at.y);
-        (depth_m > 0.0 || slope.iter().any(|slope| slope.abs() > 0.0)).then_some(EDGE_M)
+        (self.depth_m(at.x, at.y).0 > 0.0).then_some(EDGE_M)
     }
 
     /// Cuts `mesh` (scene frame).

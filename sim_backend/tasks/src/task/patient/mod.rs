@@ -1,8 +1,8 @@
 //! A patient under the instruments: `[scene] patient = "DIR", organ = "liver"` makes an organ of what `trocar anatomy build` wrote into
 //! `DIR` the ground of a task.
 //!
-//! The patient is turned so that the flattest patch on the organ's front on which the task can be done faces the instruments, the head away from the viewer, and raised
-//! so that the patch is where the task has its ground. The organ is rounded between its vertices, once for physics and pictures
+//! The patient is turned so that the flattest patch on the organ's front on which the task can be done faces the instruments, the head away
+//! from the viewer, and raised so that the patch is where the task has its ground. The organ is rounded between its vertices, once for physics and pictures
 //! alike: what is felt is a table of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in
 //! the way.
 
