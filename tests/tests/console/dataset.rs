@@ -10,7 +10,7 @@ use trocar_data::dataset::Dataset;
 use crate::browser::looks_right;
 use crate::devtools::Browser;
 use crate::page::Page;
-use crate::run::Served;
+use crate::run::{PLAIN, Served};
 
 /// Two demonstrations of `task` by the expert, with depth, in the scratch folder of `test`.
 fn recorded(test: &str, task: &str) -> PathBuf {
@@ -18,7 +18,7 @@ fn recorded(test: &str, task: &str) -> PathBuf {
     let words = ["record", "--task", task, "--episodes", "2", "--seed", "7"];
     let output = trocar()
         .args(words)
-        .args(["--depth", "--out"])
+        .args(["--set", PLAIN, "--depth", "--out"])
         .arg(&data)
         .output()
         .unwrap();

@@ -16,6 +16,9 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 /// may keep it from its cores for so many times 50 ms until it lacks a measurement and ends.
 pub(crate) const SLOW_MOTION: u64 = 4;
 
+/// Setting for recordings whose colours do not matter, as they are made sooner.
+pub(crate) const PLAIN: &str = "scene.rendering.shading=plain";
+
 /// A process that serves a console. Its folder of operators' sockets is its own; they have short paths.
 pub(crate) struct Served {
     pub(crate) process: Child,
@@ -45,7 +48,7 @@ pub(crate) fn made_log(test: &str, task: &str) -> PathBuf {
     let log = scratch(test).join("run.mcap");
     let mut command = trocar();
     command.args(["run", "--task", task, "--policy", "expert"]);
-    command.args(["--lockstep", "--seed", "7", "--log"]);
+    command.args(["--set", PLAIN, "--lockstep", "--seed", "7", "--log"]);
     assert!(command.arg(&log).status().unwrap().success());
     log
 }

@@ -4,7 +4,7 @@ use core::cell::Cell;
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use hal::config::Source;
 use hal::count::count_u32;
@@ -47,8 +47,20 @@ impl Folder {
         Self(env::temp_dir().join(name))
     }
 
-    fn with_patient(test: &str) -> Self {
-        let folder = Self::new(test);
+    /// A patient in a folder that the tests which run at the same time share: they do not write into it.
+    fn with_patient() -> Arc<Self> {
+        static SHARED: Mutex<(u32, Weak<Folder>)> = Mutex::new((0, Weak::new()));
+        let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
+        shared.1.upgrade().unwrap_or_else(|| {
+            // An earlier one may be going this moment.
+            let made = Arc::new(Self::made(shared.0));
+            *shared = (shared.0 + 1, Arc::downgrade(&made));
+            made
+        })
+    }
+
+    fn made(count: u32) -> Self {
+        let folder = Self::new(&format!("shared-{count}"));
         let patient = phantom::Patient::new(7);
         phantom::write(&patient, Size([80, 80, 96]), &folder.0, |_, _| ()).unwrap();
         let groups = Groups::load("vista3d").unwrap();
@@ -77,7 +89,7 @@ impl Folder {
 
 #[test]
 fn experts_work_on_a_patients_liver() {
-    let folder = Folder::with_patient("work");
+    let folder = Folder::with_patient();
     for (name, seeds) in [
         ("needle-lift", 6),
         ("needle-handover", 3),
@@ -97,7 +109,7 @@ fn experts_work_on_a_patients_liver() {
 /// What is felt is what is drawn, the needle starts on it, and the same file lies in the same way.
 #[test]
 fn liver_is_felt_where_it_is_drawn() {
-    let folder = Folder::with_patient("drawn");
+    let folder = Folder::with_patient();
     let task = folder.task("needle-lift");
     let lift = task.scene::<NeedleLift>().unwrap();
     let visuals = task.scene.visuals();
@@ -148,12 +160,14 @@ fn liver_is_felt_where_it_is_drawn() {
 /// The same patient as a file that does not say that it is ours.
 #[test]
 fn a_patient_of_another_program_lies_as_its_nodes_say() {
-    let folder = Folder::with_patient("others");
+    let folder = Folder::with_patient();
     let mut bytes = fs::read(folder.0.join(GLB_FILE)).unwrap();
     let ours: &[u8] = b"RAS of the scan, m";
     let frame = bytes.windows(ours.len()).position(|part| part == ours);
     bytes[frame.unwrap()] = b'?';
-    let file = folder.0.join("other.GLB");
+    let others = Folder::new("others");
+    fs::create_dir(&others.0).unwrap();
+    let file = others.0.join("other.GLB");
     fs::write(&file, bytes).unwrap();
     let of_others = scene("needle-lift", &file, "liver");
     let task = TaskConfig::parse("needle-lift", &of_others).unwrap();
@@ -186,7 +200,7 @@ fn what_is_no_patient_is_refused_with_file_and_key() {
     );
     assert!(nowhere.contains("patient.glb can't be read"), "{nowhere}");
 
-    let folder = Folder::with_patient("refused");
+    let folder = Folder::with_patient();
     let organ = folder.refused("brain");
     assert!(
         organ.contains("scene.organ = brain is outside liver, gallbladder"),
@@ -198,17 +212,18 @@ fn what_is_no_patient_is_refused_with_file_and_key() {
         "{small}"
     );
 
-    let path = folder.0.join(GLB_FILE);
-    let bytes = fs::read(&path).unwrap();
-    fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
-    let cut = folder.refused("liver");
+    let bytes = fs::read(folder.0.join(GLB_FILE)).unwrap();
+    let half = Folder::new("half");
+    fs::create_dir(&half.0).unwrap();
+    fs::write(half.0.join(GLB_FILE), &bytes[..bytes.len() / 2]).unwrap();
+    let cut = half.refused("liver");
     assert!(cut.contains("patient.glb: it has not the length"), "{cut}");
 }
 
 /// What is felt of an incision is what is drawn, and the flap stands out over it, so that a finger fits under its free edge.
 #[test]
 fn a_flap_of_a_liver_stands_out_over_its_incision() {
-    let folder = Folder::with_patient("flap");
+    let folder = Folder::with_patient();
     let task = folder.task("tissue-retraction");
     let scene = task.scene::<TissueRetraction>().unwrap();
     let scenery = scene.scenery(0);
@@ -246,7 +261,7 @@ fn a_flap_of_a_liver_stands_out_over_its_incision() {
 /// The needle of a suture lies on the liver, before the fold, whose foot is in it everywhere.
 #[test]
 fn a_needle_lies_on_a_liver_before_its_fold() {
-    let folder = Folder::with_patient("fold");
+    let folder = Folder::with_patient();
     let task = folder.task("suture-pad");
     let scene = task.scene::<SuturePad>().unwrap();
     let patient = scene.patient.as_deref().unwrap();
@@ -287,7 +302,7 @@ fn a_needle_lies_on_a_liver_before_its_fold() {
 /// A hole that the organ covers is refused.
 #[test]
 fn a_fold_whose_hole_is_in_the_liver_is_refused() {
-    let folder = Folder::with_patient("hole");
+    let folder = Folder::with_patient();
     let text = folder
         .scene("suture-pad", "liver")
         .text()
@@ -303,7 +318,7 @@ fn a_fold_whose_hole_is_in_the_liver_is_refused() {
 /// Where the flattest patch does not fit, another one is taken; where none does, the flattest one's reason is given.
 #[test]
 fn the_flattest_patch_that_fits_is_taken() {
-    let folder = Folder::with_patient("patches");
+    let folder = Folder::with_patient();
     let source = folder.scene("needle-lift", "liver");
     let file = SceneFile {
         patient: folder.0.display().to_string(),
@@ -338,7 +353,7 @@ fn the_flattest_patch_that_fits_is_taken() {
 /// A flap that would be stretched wherever it is laid is refused, before an episode begins with it torn.
 #[test]
 fn a_flap_that_does_not_lie_on_the_liver_is_refused() {
-    let folder = Folder::with_patient("stretched");
+    let folder = Folder::with_patient();
     let shipped = folder.scene("tissue-retraction", "liver");
     let text = shipped
         .text()
