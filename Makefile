@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-of-others test-adversary test-golden test-can test-python test-foxglove test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
+.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-adversary test-golden test-can test-python test-foxglove test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
 
 TARGET := $(abspath $(or $(CARGO_TARGET_DIR),target))
 TROCAR := $(TARGET)/release/trocar
@@ -28,21 +28,20 @@ CLOCKED := session::realtime::
 # Benches and examples are linted where our crates are.
 LINTED := $(if $(filter 1,$(TROCAR_LINT)),--bench '*' --examples)
 
-# Everything that can fail for a reason in this tree, of a release with assertions. What reads a clock runs in turn, but for the CAN tests,
-# which mostly wait for their bus; what needs no clock has the processor time that they leave, and so has the compiler once the CAN tests
-# are there.
-test: setup setup-can setup-browser checked
+# Everything that can fail for a reason in this tree, of a release with assertions. What reads a clock, or waits for a bus, Python or a
+# browser, runs in turn; what needs no clock has the processor time that they leave, and so has the compiler once the first of them,
+# which mostly wait for their bus, are there.
+test: setup setup-can checked
 	$(CARGO) test --workspace --test can_bus --no-run
-	$(MAKE) -j3 --output-sync=target test-in-turn test-beside
+	$(MAKE) -j2 --output-sync=target test-in-turn test-beside
 
 test-in-turn:
-	$(MAKE) test-can test-of-others
-	$(MAKE) test-clocked
-	$(MAKE) test-console
-
-test-of-others:
+	$(MAKE) test-can
 	$(MAKE) test-python
 	$(MAKE) test-anatomy-short
+	$(MAKE) test-clocked
+	$(MAKE) test-study
+	$(MAKE) test-console
 
 # One cargo at a time: until the CAN tests run.
 test-beside:
@@ -51,7 +50,6 @@ test-beside:
 	.ci/idle $(MAKE) test-units
 	.ci/idle $(MAKE) test-clockless
 	.ci/idle $(CARGO) test --workspace --doc
-	.ci/idle $(MAKE) test-study
 
 test-units: setup
 	$(CARGO) test --workspace --lib -- --skip $(CLOCKED)
@@ -59,7 +57,7 @@ test-units: setup
 # In real time, at half speed.
 test-clocked: setup checked
 	$(CARGO) test -p trocar --lib $(CLOCKED)
-	SKIP="$(CLOCKLESS)" TROCAR_SLOW_MOTION=2 $(CARGO) test --workspace --test '*' --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/unless"]'
+	SKIP="$(CLOCKLESS) study" TROCAR_SLOW_MOTION=2 $(CARGO) test --workspace --test '*' --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/unless"]'
 
 test-clockless: setup checked
 	$(CARGO) test --workspace $(CLOCKLESS:%=--test %)

@@ -10,12 +10,13 @@ use hal::tail::TailPlayer;
 use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, SafeTail, TICK_NS, TimeNs};
 use trocar_world::World;
 use trocar_world::plant::DriveSetpoint;
+use trocar_world::rng::Rng;
 use trocar_world::tissue::{FlapSnapshot, TissueExtremes};
 
 use crate::SimulationError;
 use crate::cameras::SceneCameras;
 use crate::scene::{ArmScene, SceneSnapshot, SceneState, THINGS_MAX};
-use crate::task::{Criteria, Judge, MonitorInput, Outcome, TaskConfig};
+use crate::task::{Criteria, Judge, MonitorInput, Outcome, TaskConfig, TaskScene};
 use hal::ARMS_MAX;
 pub use nudge::Nudge;
 
@@ -31,6 +32,12 @@ pub enum Rendering {
 /// Time that things get to come to rest before the episode begins, ms.
 const SETTLE_STEPS: u32 = 250;
 
+/// Speed of a thing after that time above which it slides over a patient's organ, m/s.
+const SLIDES_M_S: f64 = 0.001;
+
+/// Places that are tried on a patient's organ before a thing that slides is left where it is.
+const LAID_MAX: usize = 20;
+
 /// An episode.
 pub struct Simulation {
     world: World,
@@ -44,6 +51,31 @@ pub struct Simulation {
     frames: u64,
     stamp: TimeNs,
     moment_ms: u32,
+}
+
+/// The world of the episode `seed` after things have come to rest: what slides over a patient's organ is laid elsewhere.
+pub(crate) fn settled(task: &TaskConfig, scene: &dyn TaskScene, seed: u64) -> World {
+    let at_rest = |place: u64| {
+        let mut world = World::new(&task.world, &scene.scenery(place), &task.arms);
+        for _ in 0..SETTLE_STEPS {
+            world.step();
+        }
+        world
+    };
+    let slides = |world: &World| {
+        (0..world.thing_count()).any(|thing| world.thing_velocity(thing)[0].norm() > SLIDES_M_S)
+    };
+    let mut world = at_rest(seed);
+    if scene.patient().is_some() {
+        let mut places = Rng::stream(seed, "another place");
+        for _ in 1..LAID_MAX {
+            if !slides(&world) {
+                break;
+            }
+            world = at_rest(places.next_u64());
+        }
+    }
+    world
 }
 
 /// One arm of a simulation.
@@ -87,12 +119,8 @@ impl Simulation {
             cameras.begin_episode(task, seed);
         }
         let scene = task.scene_of(seed);
-        let mut world = World::new(&task.world, &scene.scenery(seed), &task.arms);
-        for _ in 0..SETTLE_STEPS {
-            world.step();
-        }
         Self {
-            world,
+            world: settled(task, &*scene, seed),
             judge: Judge::new(scene.monitor(seed), task.time_limit_s),
             goal: scene.goal(seed),
             bases: task.arms.iter().map(|arm| arm.scene_from_rcm).collect(),

@@ -1,5 +1,7 @@
 //! Devices at the desk and in the headset, in the browser: a mouse that drags the tip, a SpaceMouse, and two eyes.
 
+use std::time::Duration;
+
 use nalgebra::{Quaternion, UnitQuaternion};
 use serde_json::{Value, json};
 use trocar::rt::sleep_ns;
@@ -108,6 +110,19 @@ impl Pointer {
         browser.call("Input.dispatchMouseEvent", &event);
     }
 
+    /// Takes hold of the arm, once more when a busy machine let go of it at once: its hand came late.
+    fn take_hold(&self, browser: &mut Browser) {
+        let engaged = "told.teleop.arms[0].engaged";
+        for _ in 0..5 {
+            self.tell(browser, "mousePressed", &Value::Null);
+            if browser.comes_true(engaged, Duration::from_secs(5)) {
+                return;
+            }
+            self.tell(browser, "mouseReleased", &Value::Null);
+        }
+        browser.wait_until(engaged);
+    }
+
     /// Moves by pixels to the right and down.
     fn go(&mut self, browser: &mut Browser, by: [f64; 2]) {
         for _ in 0..10 {
@@ -130,8 +145,7 @@ fn a_mouse_drags_the_tip() {
 
     let start = Tip::rested(&mut browser);
     let mut pointer = Pointer::over_the_picture(&mut browser);
-    pointer.tell(&mut browser, "mousePressed", &Value::Null);
-    browser.wait_until("told.teleop.arms[0].engaged");
+    pointer.take_hold(&mut browser);
     pointer.go(&mut browser, [30.0, -40.0]);
     let dragged = Tip::rested(&mut browser);
     // At its depth a pixel of the picture is so many metres.

@@ -7,6 +7,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use base64::Engine as _;
 use serde_json::{Value, json};
@@ -174,11 +175,19 @@ impl Browser {
 
     /// Waits until an expression is true. A page that is being loaded anew has none meanwhile.
     pub(crate) fn wait_until(&mut self, expression: &str) {
-        let rounds = PATIENCE.as_millis() / 50;
+        if !self.comes_true(expression, PATIENCE) {
+            let text = self.evaluate("document.body.innerText");
+            panic!("never: {expression}\n{text}\n{:?}", self.errors);
+        }
+    }
+
+    /// Whether `expression` is true before `patience` is over.
+    pub(crate) fn comes_true(&mut self, expression: &str, patience: Duration) -> bool {
+        let rounds = patience.as_millis() / 50;
         let parameters = json!({ "expression": expression, "returnByValue": true });
         for _ in 0..rounds {
             match self.try_call("Runtime.evaluate", &parameters) {
-                Ok(result) if Self::value(expression, &result) == true => return,
+                Ok(result) if Self::value(expression, &result) == true => return true,
                 Err(error) if !error.contains("navigated") && !error.contains("context") => {
                     panic!("{expression}: {error}");
                 }
@@ -186,8 +195,7 @@ impl Browser {
             }
             sleep_ns(50_000_000);
         }
-        let text = self.evaluate("document.body.innerText");
-        panic!("never: {expression}\n{text}\n{:?}", self.errors);
+        false
     }
 
     /// Presses a key.

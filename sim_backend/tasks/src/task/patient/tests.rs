@@ -6,6 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+use hal::Pose;
 use hal::config::Source;
 use hal::count::count_u32;
 use nalgebra::Point3;
@@ -19,6 +20,7 @@ use trocar_world::{Ground, World};
 
 use super::{SceneFile, Site};
 use crate::closed_loop;
+use crate::simulation::settled;
 use crate::task::needle_lift::NeedleLift;
 use crate::task::suture_pad::SuturePad;
 use crate::task::tissue_retraction::TissueRetraction;
@@ -154,6 +156,38 @@ fn liver_is_felt_where_it_is_drawn() {
     assert!(
         lie.axes_in_scan[2][1] > 0.5 && lie.axes_in_scan[1][2] > 0.4,
         "{lie:?}"
+    );
+}
+
+/// Needles stay where they are when an episode begins, also where the first place is one that they slide off.
+#[test]
+fn needles_are_at_rest_when_an_episode_begins() {
+    let folder = Folder::with_patient();
+    let mut laid_again = 0;
+    for (name, seeds) in [
+        ("needle-lift", 50),
+        ("needle-handover", 150),
+        ("suture-pad", 50),
+    ] {
+        let task = folder.task(name);
+        for seed in 0..seeds {
+            let mut world = settled(&task, &*task.scene, seed);
+            let start = world.thing_in_scene(0);
+            let first = task.scene.scenery(seed).things[0].in_scene;
+            let moved = |world: &World, from: &Pose| {
+                (world.thing_in_scene(0).translation.vector - from.translation.vector).norm()
+            };
+            laid_again += usize::from(moved(&world, &first) > 0.01);
+            for _ in 0..1000 {
+                world.step();
+            }
+            let moved_m = moved(&world, &start);
+            assert!(moved_m < 0.002, "{name}, seed {seed}: {moved_m} m");
+        }
+    }
+    assert!(
+        laid_again > 0,
+        "no first place was one that a needle slides off"
     );
 }
 
