@@ -55,7 +55,7 @@ pub struct Simulation {
 
 /// The world of the episode `seed` after things have come to rest: what slides over a patient's organ is laid elsewhere.
 pub(crate) fn settled(task: &TaskConfig, scene: &dyn TaskScene, seed: u64) -> World {
-    let at_rest = |place: u64| {
+    let laid = |place: u64| {
         let mut world = World::new(&task.world, &scene.scenery(place), &task.arms);
         for _ in 0..SETTLE_STEPS {
             world.step();
@@ -65,14 +65,14 @@ pub(crate) fn settled(task: &TaskConfig, scene: &dyn TaskScene, seed: u64) -> Wo
     let slides = |world: &World| {
         (0..world.thing_count()).any(|thing| world.thing_velocity(thing)[0].norm() > SLIDES_M_S)
     };
-    let mut world = at_rest(seed);
+    let mut world = laid(seed);
     if scene.patient().is_some() {
         let mut places = Rng::stream(seed, "another place");
         for _ in 1..LAID_MAX {
             if !slides(&world) {
                 break;
             }
-            world = at_rest(places.next_u64());
+            world = laid(places.next_u64());
         }
     }
     world
