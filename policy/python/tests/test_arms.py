@@ -356,6 +356,32 @@ def test_only_one_serves_and_ctrl_c_ends_it(name: str, beside: Callable[..., Any
     assert trocar.serve_arms(Rests(), name, seconds=0.01) > 0
 
 
+def test_serving_that_is_ended_plays_the_stops_to_rest(name: str) -> None:
+    """Set-points that come after that are not followed."""
+    ending, begin_ns = threading.Event(), time.monotonic_ns() + 10**9
+    controllers = [Controller(name, arm) for arm in ("psm1", "psm2")]
+    last = moving(stamp=begin_ns + 2 * PERIOD_NS)
+
+    class Led(Rests):
+        def exchange(self, commands: Sequence[trocar.ArmCommand] | None) -> list[trocar.ArmState]:
+            period = len(self.asked)
+            if period == 3:
+                ending.set()
+            for controller in controllers:
+                controller.setpoints.publish(last if period == 2 else moving(begin_ns + period * PERIOD_NS, at=0.9))
+            return super().exchange(commands)
+
+    arms = Led(count=2)
+    periods = trocar.serve_arms(arms, name, count=2, ending=ending)
+    assert periods == len(arms.asked) == 4 + round(1e9 * STOP_S / PERIOD_NS)
+    for index, commands in enumerate(arms.asked[3:]):
+        assert commands is not None and len(commands) == 2
+        for command in commands:
+            expected = stop_at(last, last.stamp + index * PERIOD_NS)
+            np.testing.assert_array_equal(command.position, expected.position)
+            assert command.enabled and command.rests == (index == periods - 4)
+
+
 def test_the_arm_of_the_readme_follows(name: str) -> None:
     text = README.read_text().split("## An arm\n", 1)[1].split("```python\n", 1)[1].split("```", 1)[0]
     code = text.replace('trocar.serve_arms(Follows(), "lab")', f'periods = trocar.serve_arms(Follows(), "{name}", seconds=0.05)')

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from conftest import short
+from trocar.topics import Node
 
 README = Path(__file__).parent.parent / "README.md"
 
@@ -28,6 +29,16 @@ def test_the_policy_of_the_readme_runs(name: str, session: Callable[..., Any]) -
     exec(compile(code, README, "exec"), {})
     exit_code, _, err = running.end()
     assert exit_code == 0, err
+
+
+def test_the_camera_of_the_readme_is_seen(name: str) -> None:
+    code = example("A camera").replace('"lab"', f'"{name}"').replace("0.04", "0")
+    assert name in code
+    seen = Node(name).camera("endoscope")
+    found: dict[str, Any] = {}
+    exec(compile(code, README, "exec"), found)
+    assert seen.look() and seen.header is not None and seen.header.sequence == 512
+    assert (seen.planes()[0] == 255).all()
 
 
 def test_the_environment_of_the_readme_runs(binary: str, monkeypatch: pytest.MonkeyPatch) -> None:

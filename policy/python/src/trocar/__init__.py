@@ -1,10 +1,11 @@
-"""Policies and arms of one's own for Trocar, its tasks as Gymnasium environments, and its logs and results as tables."""
+"""Policies, arms and cameras of one's own for Trocar, its tasks as Gymnasium environments, and its logs and results as tables."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from .arms import ArmCommand, Arms, ArmState, serve_arms
+from .arms import ArmCommand, Arms, ArmState, now_ns, serve_arms
+from .cameras import CameraPublisher
 from .peer import Asked, Begins, Ended, Peer, Shown
 from .policy import ABSOLUTE, RELATIVE, Answer, Arm, Frame, Observation, Policy, PolicyError
 from .server import serve
@@ -24,6 +25,7 @@ __all__ = [
     "Arms",
     "Asked",
     "Begins",
+    "CameraPublisher",
     "Ended",
     "Frame",
     "Log",
@@ -35,6 +37,7 @@ __all__ = [
     "TopicError",
     "TrocarEnv",
     "make",
+    "now_ns",
     "read_log",
     "read_results",
     "serve",

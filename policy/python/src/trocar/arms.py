@@ -6,6 +6,7 @@ import contextlib
 import math
 import os
 import struct
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -81,6 +82,11 @@ class ArmCommand:
     jaw_velocity: float
     #: Whether the drives should hold torque at all. Without torque nothing else counts.
     enabled: bool
+
+    @property
+    def rests(self) -> bool:
+        """Whether nothing moves: without torque, or with no velocity and no acceleration."""
+        return not (self.enabled and (self.velocity.any() or self.acceleration.any() or self.jaw_velocity))
 
 
 class Arms(Protocol):
@@ -186,10 +192,10 @@ class _Port:
         self._player = StopPlayer(period_ns)
         self._sequence = 0
 
-    def next_period(self) -> ArmCommand | None:
-        """What the arm is to do; None if nobody has commanded it yet."""
+    def next_period(self, *, stopping: bool) -> ArmCommand | None:
+        """What the arm is to do; None if nobody has commanded it yet. If `stopping`, no set-point counts any more."""
         for setpoint in self._setpoints.unread():
-            if now_ns() - setpoint.stamp <= _AGE_NS_MAX:
+            if not stopping and now_ns() - setpoint.stamp <= _AGE_NS_MAX:
                 self._player.write(setpoint)
         return self._player.next_period()
 
@@ -231,6 +237,7 @@ def serve_arms(
     count: int = 1,
     period_s: float = 0.001,
     seconds: float | None = None,
+    ending: threading.Event | None = None,
 ) -> int:
     """Serves `arms` to runs of ``trocar run --backend topics --topics NAME``, one after another.
 
@@ -238,8 +245,9 @@ def serve_arms(
     they are only measured. In a period without a new set-point an arm gets the next point of the stop that came with the last one, to rest
     and for good, until another comes: it need not watch over the controller itself. Periods that were missed are left out.
 
-    Ends after `seconds`, or with Ctrl-C; the number of periods. Nobody commands the arms from then on: hold them, or let them go. Raises
-    what `arms` raise.
+    Ends after `seconds`, or with Ctrl-C; the number of periods. Nobody commands the arms from then on: hold them, or let them go. Once
+    `ending` is set, by a signal handler for example, no set-point counts any more: each arm plays its stop, and serving ends when all
+    rest. Raises what `arms` raise.
     """
     if not 1 <= count <= len(ARM_NAMES):
         raise ValueError(f"count = {count}: allowed are 1 to {len(ARM_NAMES)}")
@@ -261,13 +269,16 @@ def serve_arms(
             for port, state in zip(ports, states):
                 port.publish(state, begun_ns)
             periods += 1
+            stopping = ending is not None and ending.is_set()
+            if stopping and all(command.rests for command in commands or ()):
+                break
             deadline_ns = _wait(deadline_ns + period_ns, period_ns)
-            commands = _commands(ports)
+            commands = _commands(ports, stopping=stopping)
     return periods
 
 
-def _commands(ports: Sequence[_Port]) -> list[ArmCommand] | None:
-    given = [port.next_period() for port in ports]
+def _commands(ports: Sequence[_Port], *, stopping: bool) -> list[ArmCommand] | None:
+    given = [port.next_period(stopping=stopping) for port in ports]
     stamps = [command.stamp_ns for command in given if command is not None]
     if not stamps:
         return None

@@ -23,6 +23,9 @@ _NODES_MAX = 16
 _OPEN_TRIES = 200
 _PREFIX = "trocar_"
 
+#: 32-bit words of a frame a pixel: 4 bytes of depth, 3 of colour, 1 of instance id.
+_WORDS_PER_PIXEL = 2
+
 M = TypeVar("M", bound=Message)
 
 
@@ -67,11 +70,7 @@ class Node:
         """The only writer of the topic of `arm` that carries `message`."""
         topic = f"trocar/{self.name}/{arm}/{message.TOPIC}"
         service = self._open(topic, message, None, message.UNREAD)
-        try:
-            raw = service.publisher_builder().max_loaned_samples(1).create()
-        except iox2.PublisherCreateError as error:
-            raise TopicError(f"topic '{topic}' can't be published: {error}; does another process publish it?") from error
-        return Publisher(raw, topic, self._bell)
+        return Publisher(_published(topic, service.publisher_builder().max_loaned_samples(1)), topic, self._bell)
 
     def subscriber(self, message: type[M], arm: str) -> Subscriber[M]:
         """A reader of the topic of `arm` that carries `message`."""
@@ -82,6 +81,13 @@ class Node:
         """A reader of the frames of `camera`."""
         topic = f"trocar/{self.name}/{camera}/frame"
         return FrameSubscriber(self._subscribe(topic, iox2.Slice[ctypes.c_float], FrameHeader), topic)
+
+    def camera_publisher(self, camera: str, pixels_max: int) -> FramePublisher:
+        """The only writer of the frames of `camera`, of up to `pixels_max` pixels; reserves 88 bytes of shared memory a pixel."""
+        topic = f"trocar/{self.name}/{camera}/frame"
+        service = self._open(topic, iox2.Slice[ctypes.c_float], FrameHeader)
+        builder = service.publisher_builder().max_loaned_samples(1).initial_max_slice_len(_WORDS_PER_PIXEL * pixels_max)
+        return FramePublisher(_published(topic, builder), topic, pixels_max, self._bell)
 
     def _subscribe(self, topic: str, payload: Any, header: Any, unread: int = _FRAMES_UNREAD) -> Any:
         service = self._open(topic, payload, header, unread)
@@ -130,6 +136,13 @@ class Node:
                 # A peer may be creating or removing the same service.
                 self._node.wait(iox2.Duration.from_millis(5))
         raise TopicError(f"topic '{topic}' can't be opened: {reason}")
+
+
+def _published(topic: str, builder: Any) -> Any:
+    try:
+        return builder.create()
+    except iox2.PublisherCreateError as error:
+        raise TopicError(f"topic '{topic}' can't be published: {error}; does another process publish it?") from error
 
 
 def _pid_of(state: Any) -> int:
@@ -193,6 +206,44 @@ class Subscriber(Generic[M]):
             yield message
 
 
+class FramePublisher:
+    """Writes the frames of one camera."""
+
+    def __init__(self, raw: Any, topic: str, pixels_max: int, bell: Any) -> None:
+        self._raw = raw
+        self._topic = topic
+        self._pixels_max = pixels_max
+        self._bell = bell
+
+    def publish(
+        self,
+        header: FrameHeader,
+        colour: NDArray[np.uint8],
+        depth_m: NDArray[np.float32] | None = None,
+        instance: NDArray[np.uint8] | None = None,
+    ) -> None:
+        """Publishes planes of the size that `header` has, depth and instance ids as zeros if not given, and wakes who waits."""
+        width, height = header.intrinsics.width, header.intrinsics.height
+        pixels = width * height
+        if not 0 < pixels <= self._pixels_max:
+            raise TopicError(f"topic '{self._topic}': a frame of {width}x{height} pixels, allowed are 1 to {self._pixels_max} pixels")
+        loan = self._raw.loan_slice_uninit(_WORDS_PER_PIXEL * pixels)
+        ctypes.memmove(loan.user_header_ptr, ctypes.byref(header), ctypes.sizeof(header))
+        words = _WORDS_PER_PIXEL * pixels
+        raw = np.frombuffer((ctypes.c_uint8 * (4 * words)).from_address(loan.payload_ptr), dtype=np.uint8)
+        pairs: list[tuple[NDArray[Any], NDArray[Any] | None]] = list(zip(_planes(raw, width, height), (colour, depth_m, instance)))
+        for into, plane in pairs:
+            if plane is not None and plane.shape != into.shape:
+                raise TopicError(f"topic '{self._topic}': a plane of shape {plane.shape} came with a frame of {width}x{height} pixels")
+            into[...] = 0 if plane is None else plane
+        loan.assume_init().send()
+        self._bell.notify()
+
+    def keep_alive(self) -> None:
+        """Hands the newest frame to readers that have come since."""
+        self._raw.update_connections()
+
+
 class FrameSubscriber:
     """Reads the frames of one camera where the writer put them."""
 
@@ -228,11 +279,19 @@ class FrameSubscriber:
         pixels = width * height
         # The length of the payload's own slice is in bytes here, that of the transport's header in words.
         words = self._sample.header.number_of_elements
-        if words != 2 * pixels:
+        if words != _WORDS_PER_PIXEL * pixels:
             raise TopicError(f"topic '{self._topic}': a frame of {width}x{height} pixels came with {words} words")
         raw = np.frombuffer((ctypes.c_uint8 * (8 * pixels)).from_address(self._sample.payload_ptr), dtype=np.uint8)
         raw.flags.writeable = False
-        depth = raw[: 4 * pixels].view(np.float32).reshape(height, width)
-        colour = raw[4 * pixels : 7 * pixels].reshape(height, width, 3)
-        instance = raw[7 * pixels :].reshape(height, width)
-        return colour, depth, instance
+        return _planes(raw, width, height)
+
+
+def _planes(
+    raw: NDArray[np.uint8], width: int, height: int
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
+    """Colour, depth and instance ids of a frame whose bytes are `raw`."""
+    pixels = width * height
+    depth = raw[: 4 * pixels].view(np.float32).reshape(height, width)
+    colour = raw[4 * pixels : 7 * pixels].reshape(height, width, 3)
+    instance = raw[7 * pixels :].reshape(height, width)
+    return colour, depth, instance
