@@ -10,13 +10,12 @@ use hal::tail::TailPlayer;
 use hal::{Arm, ArmCommand, ArmError, ArmState, CameraFrame, Pose, SafeTail, TICK_NS, TimeNs};
 use trocar_world::World;
 use trocar_world::plant::DriveSetpoint;
-use trocar_world::rng::Rng;
 use trocar_world::tissue::{FlapSnapshot, TissueExtremes};
 
 use crate::SimulationError;
 use crate::cameras::SceneCameras;
 use crate::scene::{ArmScene, SceneSnapshot, SceneState, THINGS_MAX};
-use crate::task::{Criteria, Judge, MonitorInput, Outcome, TaskConfig, TaskScene};
+use crate::task::{Criteria, Judge, MonitorInput, Outcome, TaskConfig, laying};
 use hal::ARMS_MAX;
 pub use nudge::Nudge;
 
@@ -28,15 +27,6 @@ pub enum Rendering {
     /// Physics and cameras.
     On,
 }
-
-/// Time that things get to come to rest before the episode begins, ms.
-const SETTLE_STEPS: u32 = 250;
-
-/// Speed of a thing after that time above which it slides over a patient's organ, m/s.
-const SLIDES_M_S: f64 = 0.001;
-
-/// Places that are tried on a patient's organ before a thing that slides is left where it is.
-const LAID_MAX: usize = 20;
 
 /// An episode.
 pub struct Simulation {
@@ -51,31 +41,6 @@ pub struct Simulation {
     frames: u64,
     stamp: TimeNs,
     moment_ms: u32,
-}
-
-/// The world of the episode `seed` after things have come to rest: what slides over a patient's organ is laid elsewhere.
-pub(crate) fn settled(task: &TaskConfig, scene: &dyn TaskScene, seed: u64) -> World {
-    let laid = |place: u64| {
-        let mut world = World::new(&task.world, &scene.scenery(place), &task.arms);
-        for _ in 0..SETTLE_STEPS {
-            world.step();
-        }
-        world
-    };
-    let slides = |world: &World| {
-        (0..world.thing_count()).any(|thing| world.thing_velocity(thing)[0].norm() > SLIDES_M_S)
-    };
-    let mut world = laid(seed);
-    if scene.patient().is_some() {
-        let mut places = Rng::stream(seed, "another place");
-        for _ in 1..LAID_MAX {
-            if !slides(&world) {
-                break;
-            }
-            world = laid(places.next_u64());
-        }
-    }
-    world
 }
 
 /// One arm of a simulation.
@@ -120,7 +85,7 @@ impl Simulation {
         }
         let scene = task.scene_of(seed);
         Self {
-            world: settled(task, &*scene, seed),
+            world: laying::settled(task, &*scene, seed),
             judge: Judge::new(scene.monitor(seed), task.time_limit_s),
             goal: scene.goal(seed),
             bases: task.arms.iter().map(|arm| arm.scene_from_rcm).collect(),

@@ -9,6 +9,7 @@ use serde::Deserialize;
 use trocar_render::Shading;
 use trocar_world::{ArmStart, WorldConfig};
 
+use super::laying::always_slides;
 use super::{CameraConfig, Kind, TaskConfig, TaskScene, View};
 
 /// `[task]`.
@@ -97,7 +98,7 @@ impl CommonFile {
             1.0,
             86_400.0,
         )?;
-        Ok(TaskConfig {
+        let task = TaskConfig {
             name: name.to_owned(),
             kind: kind.name,
             arms: self.arm.iter().map(ArmFile::start).collect(),
@@ -108,7 +109,15 @@ impl CommonFile {
             varied: Vec::new(),
             time_limit_s: self.episode.time_limit_s,
             scene,
-        })
+        };
+        if let Some(patient) = task.scene.patient()
+            && always_slides(&task)
+        {
+            let reason =
+                "its needle slides off the patch under the instruments; a smaller one may lie";
+            return Err(source.refused("scene.organ", &patient.lie.organ, reason));
+        }
+        Ok(task)
     }
 }
 

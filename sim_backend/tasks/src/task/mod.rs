@@ -15,6 +15,7 @@ mod common;
 mod criteria;
 mod files;
 mod judge;
+pub(crate) mod laying;
 pub mod needle_handover;
 pub mod needle_lift;
 mod needle_start;

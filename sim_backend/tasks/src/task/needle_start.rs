@@ -84,7 +84,7 @@ impl NeedleStart {
         let first = self.place(&mut rng, needle, organ);
         let lies = matches!(organ, Organ::Rolling(_))
             || self.sample(&mut rng, first, needle, organ).is_some();
-        let reason = "nowhere in it the organ is flat enough for the needle";
+        let reason = "nowhere in it the organ is flat enough for the needle; a smaller one may lie";
         let found = format!("{:?}", self.range_m);
         if lies {
             Ok(())

@@ -1,8 +1,8 @@
 //! A patient under the instruments: `[scene] patient = "DIR", organ = "liver"` makes an organ of what `trocar anatomy build` wrote into
 //! `DIR` the ground of a task.
 //!
-//! The patient is turned so that the flattest patch on the organ's front on which the task can be done faces the instruments, the head away
-//! from the viewer, and raised so that the patch is where the task has its ground. The organ is rounded between its vertices, once for physics and pictures
+//! The patient is turned so that a patch on the organ's front on which the task can be done faces the instruments, the widest, then the flattest,
+//! the head away from the viewer, and raised so that the patch is where the task has its ground. The organ is rounded between its vertices, once for physics and pictures
 //! alike: what is felt is a table of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in
 //! the way.
 
@@ -30,6 +30,7 @@ use trocar_world::tissue::Ground;
 pub(super) use incision::Incision;
 pub use looks::tissue_material;
 use patch::Patch;
+pub(super) use patch::WIDE;
 use relief::Relief;
 
 /// Distance of the points of the table of heights, m.
@@ -62,6 +63,8 @@ pub struct PatientPlacement {
     pub patch_in_scan_m: [f64; 3],
     /// The scene's x, y and z in the scan's world.
     pub axes_in_scan: [[f64; 3]; 3],
+    /// How far the organ reaches around the middle of the patch, m.
+    pub radius_m: f64,
     /// How far the patch is from flat, root of the mean square, m.
     pub roughness_m: f64,
 }
@@ -82,6 +85,8 @@ pub(super) struct Site {
     pub(super) half_m: [f64; 2],
     /// Where the middle of its patch lies, scene x and y, and the patch's mean height, m.
     pub(super) centre_m: [f64; 3],
+    /// How far the organ has to reach around it, m, the wished one first.
+    pub(super) radii_m: &'static [f64],
     /// Where it is cut.
     pub(super) incision: Option<Incision>,
 }
@@ -100,7 +105,7 @@ impl Site {
 }
 
 impl SceneFile {
-    /// Reads the patient and lays it under the instruments: the flattest patch of the organ that `fits`.
+    /// Reads the patient and lays it under the instruments: of the widest patches of the organ the flattest that `fits`.
     ///
     /// # Errors
     /// [`ConfigError::Refused`] if there is no patient in the folder, its file is damaged, or no patch of the organ is fit to work on;
@@ -118,7 +123,7 @@ impl SceneFile {
             let names: Vec<&str> = parts.iter().map(|part| part.name.as_str()).collect();
             return Err(source.out_of_range("scene.organ", &self.organ, &names.join(", ")));
         };
-        let patches = Patch::choose(&organ.mesh, site.centre_m)
+        let patches = Patch::choose(&organ.mesh, site)
             .map_err(|reason| source.refused("scene.organ", &self.organ, &reason))?;
         let mut misfit = None;
         for patch in patches {
@@ -157,6 +162,7 @@ impl SceneFile {
             organ: self.organ.clone(),
             patch_in_scan_m: middle.into(),
             axes_in_scan: turn.into_inner().into(),
+            radius_m: patch.radius_m,
             roughness_m: patch.roughness_m,
         }
     }
@@ -194,6 +200,7 @@ pub(super) fn ground(
     let site = Site {
         half_m: [0.5 * shape.length_m, 0.5 * shape.width_m],
         centre_m: [0.0, 0.0, RAISED_M],
+        radii_m: patch::NARROW_TOO,
         incision: None,
     };
     let patient = scene.load(source, &site, fits)?;

@@ -3,10 +3,13 @@
 use hal::{Mesh, Pose};
 use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
+use super::Site;
 use super::relief::Relief;
 
-/// Radius of the patch, m: needles lie within it, and fingers about them.
-const RADIUS_M: f64 = 0.030;
+/// Radius of a patch for whatever lies on it and the fingers about it, m.
+pub(in crate::task) const WIDE: &[f64] = &[0.030];
+/// The same for needles: narrower where an organ does not reach that far around any place.
+pub(super) const NARROW_TOO: &[f64] = &[0.030, 0.022, 0.016];
 /// How far around nothing of the organ may stand up, m, and how high, m.
 const AROUND_M: f64 = 0.060;
 const STANDS_UP_M: f64 = 0.015;
@@ -24,17 +27,19 @@ const ORGAN_M_MAX: f64 = 1.0;
 /// The place, as the pose that the patient has with it under the instruments.
 pub(super) struct Patch {
     pub(super) scene_from_scan: Pose,
+    /// How far the organ reaches all around, m.
+    pub(super) radius_m: f64,
     /// Distance from flat, root of the mean square, m.
     pub(super) roughness_m: f64,
 }
 
 impl Patch {
-    /// The flattest places on the front of the organ `mesh` (RAS, m), the flattest first, each with its middle at `centre_m` in the scene, in
-    /// height in the mean; the same for the same mesh.
+    /// Places on the front of the organ `mesh` (RAS, m), the widest first, of the same width the flattest, each with its middle at the site's
+    /// `centre_m`, in height in the mean; the same for the same mesh. Narrower ones are looked for once no wider one is taken.
     ///
     /// # Errors
     /// Why there is none.
-    pub(super) fn choose(mesh: &Mesh, centre_m: [f64; 3]) -> Result<Vec<Self>, String> {
+    pub(super) fn choose(mesh: &Mesh, site: &Site) -> Result<impl Iterator<Item = Self>, String> {
         let extent_m = extent_m(mesh);
         if extent_m > ORGAN_M_MAX {
             let size = format!("it is {extent_m:.2} m long, of at most {ORGAN_M_MAX} m");
@@ -43,10 +48,29 @@ impl Patch {
         let front: Vec<(Point3<f64>, Vector3<f64>)> = places(mesh)
             .filter(|(_, normal)| normal.y >= FRONT_MIN)
             .collect();
+        let (centre_m, radii_m) = (site.centre_m, site.radii_m);
+        let of_radius = move |radius_m: &f64| Self::flattest(mesh, &front, centre_m, *radius_m);
+        let mut patches = radii_m.iter().flat_map(of_radius).peekable();
+        if patches.peek().is_some() {
+            return Ok(patches);
+        }
+        let least_mm = 1e3 * radii_m.iter().fold(f64::INFINITY, |a, b| a.min(*b));
+        Err(format!(
+            "no place on its front has {least_mm:.0} mm of surface around it and nothing beside that stands up"
+        ))
+    }
+
+    /// The flattest patches of `radius_m` about vertices of the `front`, the flattest first.
+    fn flattest(
+        mesh: &Mesh,
+        front: &[(Point3<f64>, Vector3<f64>)],
+        centre_m: [f64; 3],
+        radius_m: f64,
+    ) -> Vec<Self> {
         let step = front.len().div_ceil(PLACES_MAX).max(1);
         let patches = front.iter().step_by(step);
         let patches = patches.filter_map(|(at, normal)| {
-            let patch = Self::at(mesh, at, normal, centre_m)?;
+            let patch = Self::at(mesh, at, normal, centre_m, radius_m)?;
             Some((*at, patch))
         });
         let mut patches: Vec<(Point3<f64>, Self)> = patches.collect();
@@ -58,13 +82,7 @@ impl Patch {
                 chosen.push((at, patch));
             }
         }
-        let radius_mm = 1e3 * RADIUS_M;
-        if chosen.is_empty() {
-            return Err(format!(
-                "no place on its front has {radius_mm:.0} mm of surface around it and nothing beside that stands up"
-            ));
-        }
-        Ok(chosen.into_iter().map(|(_, patch)| patch).collect())
+        chosen.into_iter().map(|(_, patch)| patch).collect()
     }
 
     /// The place `at` with the outward `normal`, at `centre_m` in the scene; none if the organ does not reach all around.
@@ -73,12 +91,13 @@ impl Patch {
         at: &Point3<f64>,
         normal: &Vector3<f64>,
         centre_m: [f64; 3],
+        radius_m: f64,
     ) -> Option<Self> {
         let facing = facing(at, normal);
         let relief = Relief::of(mesh, &facing, [AROUND_M; 2], SPACING_M);
         let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
         for (x, y, height_m) in relief.points() {
-            if x.hypot(y) <= RADIUS_M {
+            if x.hypot(y) <= radius_m {
                 // NaN where there is no surface, and then the sums are.
                 (count, sum, squares) =
                     (count + 1.0, sum + height_m, squares + height_m * height_m);
@@ -91,6 +110,7 @@ impl Patch {
         let [x, y, z] = centre_m;
         mean_m.is_finite().then(|| Self {
             scene_from_scan: Translation3::new(x, y, z - mean_m) * facing,
+            radius_m,
             roughness_m,
         })
     }

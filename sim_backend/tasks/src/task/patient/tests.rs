@@ -20,7 +20,7 @@ use trocar_world::{Ground, World};
 
 use super::{SceneFile, Site};
 use crate::closed_loop;
-use crate::simulation::settled;
+use crate::task::laying::settled;
 use crate::task::needle_lift::NeedleLift;
 use crate::task::suture_pad::SuturePad;
 use crate::task::tissue_retraction::TissueRetraction;
@@ -217,6 +217,40 @@ fn a_patient_of_another_program_lies_as_its_nodes_say() {
     );
 }
 
+/// Where an organ does not reach 30 mm around any place, a narrower patch is taken, and a needle that fits lies there and is lifted.
+#[test]
+fn small_organs_have_narrower_patches() {
+    let folder = Folder::with_patient();
+    for organ in ["spleen", "stomach", "kidneys"] {
+        let shipped = folder.scene("needle-lift", organ);
+        let smaller = shipped
+            .text()
+            .replace("arc_radius_m = 0.0192", "arc_radius_m = 0.0121");
+        let source = Source::embedded("small.toml", &smaller);
+        let task = TaskConfig::parse("needle-lift", &source).unwrap();
+        let lie = task.patient().unwrap();
+        assert!(lie.radius_m < 0.029, "{lie:?}");
+        let outcome = |seed| closed_loop::run(&task, seed, |_, _| {}).outcome;
+        let lifted = (0..4).filter(|seed| outcome(*seed) == Outcome::Success);
+        assert!(lifted.count() >= 3, "{organ}");
+    }
+}
+
+/// On a liver without friction no needle stays.
+#[test]
+fn a_needle_that_slides_off_everywhere_is_refused() {
+    let folder = Folder::with_patient();
+    let shipped = folder.scene("needle-lift", "liver");
+    let slippery = shipped.text().replace("friction = 0.5", "friction = 0.0");
+    let source = Source::embedded("slippery.toml", &slippery);
+    let refused = TaskConfig::parse("needle-lift", &source).unwrap_err();
+    let refused = refused.to_string();
+    assert!(
+        refused.contains("scene.organ = liver: its needle slides off"),
+        "{refused}"
+    );
+}
+
 #[test]
 fn tasks_without_a_patient_have_made_up_ground() {
     let task = TaskConfig::shipped("needle-lift");
@@ -240,6 +274,8 @@ fn what_is_no_patient_is_refused_with_file_and_key() {
         organ.contains("scene.organ = brain is outside liver, gallbladder"),
         "{organ}"
     );
+    let steep = folder.refused("small-bowel");
+    assert!(steep.contains("a smaller one may lie"), "{steep}");
     let small = folder.refused("gallbladder");
     assert!(
         small.contains("scene.organ = gallbladder: no place on its front"),
@@ -361,6 +397,7 @@ fn the_flattest_patch_that_fits_is_taken() {
     let site = Site {
         half_m: [0.06, 0.045],
         centre_m: [0.0, 0.0, 0.005],
+        radii_m: super::WIDE,
         incision: None,
     };
     let asked = Cell::new(0);

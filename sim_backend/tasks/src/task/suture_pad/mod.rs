@@ -29,7 +29,7 @@ use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
 use super::needle_start::NeedleStart;
-use super::patient::{self, Patient, SceneFile, Site};
+use super::patient::{self, Patient, SceneFile, Site, WIDE};
 use super::visuals::NEEDLE_STEEL;
 use super::{CameraConfig, Kind, Monitor, Parsed, TaskScene};
 use crate::script::AnyScript;
@@ -182,6 +182,7 @@ fn site(pad: &PadShape, start: &PadStart, needle: &NeedleShape) -> Site {
     Site {
         half_m: [0.5 * pad.length_m, 0.5 * pad.width_m],
         centre_m: [arc.centre_m[0], y, RAISED_M],
+        radii_m: WIDE,
         incision: None,
     }
 }

@@ -22,7 +22,7 @@ use script::Retractor;
 use success::SuccessMonitor;
 
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
-use super::patient::{self, Incision, Patient, SceneFile, Site};
+use super::patient::{self, Incision, Patient, SceneFile, Site, WIDE};
 use super::visuals::{LIVER, MUSCLE};
 use super::{CameraConfig, Kind, Monitor, Parsed, TaskScene};
 use crate::script::AnyScript;
@@ -163,6 +163,7 @@ fn site(liver: &LiverShape, tissue: &TissueConfig) -> Site {
     Site {
         half_m: [half_m[0], half_m[1] + WAY_M],
         centre_m: [0.0; 3],
+        radii_m: WIDE,
         incision: Some(Incision {
             front_m: liver.low_m[1],
             middle_m: tissue.edge_m[0],
