@@ -1,8 +1,9 @@
 """A PSM of the dVRK's own stack, as far as CRTK shows one: follows servo_jp at once, holds on silence, keeps what it was sent.
 
-Its messages are defined here once more, from the .msg files, so that a wrong name or order in ``trocar.crtk`` shows. Lines on standard
-input change it: ``state FAULT 1`` (state, homed), ``measure {"position": [...]}`` (lists and stamp of its measured_js), ``silent 1``. It says
-when it is sent a velocity and when none any more, ends with the input, and then writes what it was sent.
+Its messages are defined here once more, from the .msg files, so that a wrong name or order in ``trocar.crtk`` shows. Lines on
+standard input change it: ``state FAULT 1 0`` (state, homed, busy), ``measure {"position": [...]}`` (lists and stamp of its measured_js),
+``silent 1``; ``mark`` notes how much it was sent so far. It says when it is sent a velocity, 0.2 rad/s of yaw or pitch, and no velocity
+any more, ends with the input, and then writes what it was sent.
 """
 
 import argparse
@@ -59,7 +60,7 @@ NAMES = ["yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"]
 
 
 def head(stamp: str = "now") -> Head:
-    sec, nanosec = {"zero": (0, 0), "same": (1, 0)}.get(stamp) or divmod(time.time_ns(), 10**9)
+    sec, nanosec = {"zero": (0, 0), "back": (1, 0)}.get(stamp) or divmod(time.time_ns(), 10**9)
     return Head(Stamp(sec, nanosec), "PSM1_base")
 
 
@@ -78,31 +79,44 @@ class Psm:
         self.operating = DataWriter(participant, Topic(participant, f"rt/{name}/operating_state", State), LATCHED)
         self.position, self.velocity, self.jaw = [0.0, 0.0, 0.12, 0.0, 0.0, 0.0], [0.0] * 6, 0.3
         self.wrong: dict[str, Any] = {}
-        self.silent = self.moving = False
+        self.silent, self.motion = False, "resting"
+        self.marks: list[int] = []
+        self.head = head()
         self.sent: list[dict[str, Any]] = []
         self.sent_jaw: list[dict[str, Any]] = []
         self.set_state(state, homed)
 
-    def set_state(self, state: str, homed: bool) -> None:
+    def set_state(self, state: str, homed: bool, busy: bool = False) -> None:
         self.ready = state == "ENABLED" and homed
-        self.operating.write(State(head(), state, homed, False))
+        self.operating.write(State(head(), state, homed, busy))
 
     def obey(self, line: str) -> None:
         word, _, rest = line.strip().partition(" ")
         if word == "state":
-            state, homed = rest.split()
-            self.set_state(state, homed == "1")
+            state, homed, busy = rest.split()
+            self.set_state(state, homed == "1", busy == "1")
         elif word == "measure":
             self.wrong = json.loads(rest)
         elif word == "silent":
             self.silent = rest == "1"
+        elif word == "mark":
+            self.marks.append(len(self.sent))
+
+    def say(self, velocity: list[float]) -> None:
+        before = self.motion
+        if not any(velocity):
+            self.motion = "resting"
+        elif max(map(abs, velocity[:2])) >= 0.2:
+            self.motion = "fast"
+        elif before == "resting":
+            self.motion = "moving"
+        if self.motion != before:
+            print(self.motion, file=sys.stderr, flush=True)
 
     def step(self) -> None:
         for message in taken(self.servo):
             self.sent.append({"position": message.position, "velocity": message.velocity, "ready": self.ready})
-            if any(message.velocity) != self.moving:
-                self.moving = not self.moving
-                print("moving" if self.moving else "resting", file=sys.stderr, flush=True)
+            self.say(message.velocity)
             if self.ready:
                 self.position, self.velocity = message.position, message.velocity
         for message in taken(self.servo_jaw):
@@ -112,7 +126,9 @@ class Psm:
         if self.silent:
             return
         lists = {"name": NAMES, "position": self.position, "velocity": self.velocity, "effort": [0.1] * 6, "stamp": "now", **self.wrong}
-        self.measured.write(Joints(head(lists.pop("stamp")), **lists))
+        stamp = lists.pop("stamp")
+        self.head = self.head if stamp == "same" else head(stamp)
+        self.measured.write(Joints(self.head, **lists))
         self.measured_jaw.write(Joints(head(), ["jaw"], [self.jaw], [0.0], [-0.01]))
 
 
@@ -139,7 +155,7 @@ def main() -> None:
         psm.step()
         time.sleep(1.0 / options.hz)
     with open(options.file, "w") as file:
-        json.dump({"sent": psm.sent, "jaw": psm.sent_jaw, "position": psm.position}, file)
+        json.dump({"sent": psm.sent, "jaw": psm.sent_jaw, "position": psm.position, "marks": psm.marks}, file)
 
 
 if __name__ == "__main__":

@@ -36,14 +36,20 @@ def _options() -> argparse.ArgumentParser:
 
 
 def _ending() -> threading.Event:
-    """Is set by Ctrl-C and SIGTERM, the first time; a second one ends the process at once."""
+    """Is set by Ctrl-C and SIGTERM, the first time; a second one ends the process at once, and no third one disturbs the arms' hold."""
     ending = threading.Event()
+    numbers = signal.SIGINT, signal.SIGTERM
+
+    def interrupt(number: int, _: object) -> None:
+        for each in numbers:
+            signal.signal(each, signal.SIG_IGN)
+        raise KeyboardInterrupt
 
     def ring(number: int, _: object) -> None:
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, interrupt)
         ending.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in numbers:
         signal.signal(number, ring)
     return ending
 

@@ -13,7 +13,7 @@ from .dds import Ros, RosError, ros_name
 from .joints import Measured
 from .notes import Say, Unused, say_on_stderr
 from .readiness import Latch, Operating
-from .servo import Servo
+from .servo import Servo, close_all
 
 #: How long discovery gets to find other publishers, s, and time between two looks for them later on.
 _DISCOVERY_S = 1.0
@@ -33,6 +33,7 @@ class _Arm:
 
     def __init__(self, ros: Ros, name: str, unused: Unused, say: Say) -> None:
         self.name = name
+        self._ros = ros
         self._say = say
         self._joints = Measured(ros, f"{name}/measured_js", JOINT_COUNT, unused)
         self._jaw = Measured(ros, f"{name}/jaw/measured_js", 1, unused)
@@ -58,9 +59,20 @@ class _Arm:
     def lacking(self) -> str | None:
         """What must come about before the arm is served, if anything must."""
         missing = self.missing()
-        if missing or self._operating.fault is None:
+        if missing or (self._operating.fault is None and not self._operating.is_busy):
             return missing
-        return f"/{self._operating.topic} to be ENABLED, homed; it is {self._operating}"
+        return f"/{self._operating.topic} to be ENABLED, homed, not busy; it is {self._operating}"
+
+    def doubled(self) -> list[str]:
+        """Who publishes what one alone should."""
+        found = []
+        for topic in self.servo.topics:
+            if others := self._ros.publishers(topic):
+                found.append(f"/{topic} is published by {' and '.join(others)} too, commands would come in turn: end it, or this bridge")
+        for topic in (self._joints.topic, self._jaw.topic):
+            if len(publishers := self._ros.publishers(topic)) > 1:
+                found.append(f"/{topic} is published by {' and '.join(publishers)}, measurements would come in turn: end all but one")
+        return found
 
     def exchange(self, command: ArmCommand | None, since_ns: int, begun_ns: int) -> ArmState:
         """Passes `command` on, if the arm may be commanded, and gives what was measured."""
@@ -95,8 +107,9 @@ class CrtkArms:
     Subscribes to ``NAME/measured_js`` (yaw, pitch, insertion, roll, wrist pitch, wrist yaw; rad, m), ``NAME/jaw/measured_js`` and
     ``NAME/operating_state``, publishes ``NAME/servo_jp`` and ``NAME/jaw/servo_jp``. It never enables, homes or disables an arm.
 
-    A measurement's time is when its message came. An arm that is not ENABLED and homed has a `Fault` and is sent nothing, until it is both
-    again and another run commands it. Raises `RosError`: no such domain, no such name, or another publisher of a set-point.
+    A measurement's time is when its message came. An arm that is not ENABLED and homed has a `Fault`; it is sent its last position without
+    velocity, and then nothing until it is both again and another run commands it. Raises `RosError`: no such domain, no such name, another
+    publisher of a set-point, or two of a measurement.
     """
 
     def __init__(
@@ -121,16 +134,16 @@ class CrtkArms:
         self._warnings: list[str] = []
 
     def wait(self) -> bool:
-        """Waits until every arm is measured, ENABLED and homed, and says what it waits for; False if `ending` was set before.
+        """Waits until every arm is measured, ENABLED, homed and not busy, and says what it waits for; False if `ending` was set before.
 
-        Raises `RosError` if another process publishes an arm's set-points.
+        Raises `RosError` if another process publishes an arm's set-points, or two publish what it measures.
         """
         said = None
         while not self._ending.is_set():
             waited_s = time.monotonic() - self._begun_s
             lacking = self._lacking()
             if waited_s >= _DISCOVERY_S:
-                self._refuse_others()
+                self._refuse_doubled()
                 if lacking is None:
                     return True
             if lacking is not None and lacking != said and waited_s >= _PATIENCE_S:
@@ -153,9 +166,10 @@ class CrtkArms:
 
     def close(self) -> None:
         """Leaves the arms at rest: one that was last sent a velocity is sent its last position without."""
-        for arm in self._arms:
-            arm.servo.close()
-        self._unused.sum_up()
+        try:
+            close_all([arm.servo for arm in self._arms])
+        finally:
+            self._unused.sum_up()
 
     def _lacking(self) -> str | None:
         since_ns, self._looked_ns = self._looked_ns, now_ns()
@@ -164,15 +178,12 @@ class CrtkArms:
         lacking = [arm.lacking() for arm in self._arms]
         return "; ".join(text for text in lacking if text) or None
 
-    def _others(self) -> list[str]:
-        """Who else publishes set-points."""
-        topics = [topic for arm in self._arms for topic in arm.servo.topics]
-        return [f"/{topic} is published by {who} too" for topic in topics for who in self._ros.other_writers(topic)]
+    def _doubled(self) -> list[str]:
+        return [text for arm in self._arms for text in arm.doubled()]
 
-    def _refuse_others(self) -> None:
-        others = self._others()
-        if others:
-            raise RosError(f"{'; '.join(others)}: two would command one arm in turn, end the other one first")
+    def _refuse_doubled(self) -> None:
+        if doubled := self._doubled():
+            raise RosError("; ".join(doubled))
 
     def _watch(self) -> None:
         """Says once a second what is new of what should not be."""
@@ -181,7 +192,7 @@ class CrtkArms:
             return
         self._watched_s = now_s
         warnings = [f"{missing}: not there any more" for missing in (arm.missing() for arm in self._arms) if missing]
-        warnings += [f"{other}: end it, or this bridge" for other in self._others()]
+        warnings += self._doubled()
         for warning in warnings:
             if warning not in self._warnings:
                 self._say(warning)

@@ -86,12 +86,12 @@ class Ros:
         profile = _qos(message, reliable=True, latched=False, depth=depth)
         return Writer(DataWriter(self._participant, self._topic(topic, message), profile), topic)
 
-    def other_writers(self, topic: str) -> list[str]:
-        """Who else publishes `topic`, as far as discovery has found out."""
+    def publishers(self, topic: str) -> list[str]:
+        """Who else publishes `topic`, as far as discovery has found out; once for each publisher that it has."""
         self._discover()
         own = self._participant.get_guid()
-        found = {owner for name, owner in self._writers.values() if name == _dds_name(topic) and owner != own}
-        return sorted(self._who(owner) for owner in found)
+        owners = [owner for name, owner in self._writers.values() if name == _dds_name(topic) and owner != own]
+        return sorted(self._who(owner) for owner in owners)
 
     def _topic(self, topic: str, message: type[M]) -> Any:
         if topic not in self._topics:

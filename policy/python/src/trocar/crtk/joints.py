@@ -63,6 +63,7 @@ class Measured:
         self._count = count
         self._unused = unused
         self._measured_ns = 0
+        self._lacks_effort = False
         self.newest: Joints | None = None
 
     @property
@@ -76,12 +77,22 @@ class Measured:
             message = self._reader.newest()
             if message is None:
                 return
-            if not message.effort and self.newest is None:
-                self._unused.say(f"/{self.topic} has no effort, which is taken as 0: the limit on the jaw's closing effort can't act")
+            self._look_for_effort(message)
             measured = joints_of(message, self._count, since_ns)
-            if message.header.stamp.ns == self._measured_ns:
-                raise UnusableError("the header's stamp is that of the message before: nothing was measured since")
-            self._measured_ns = message.header.stamp.ns
+            self._advance(message.header.stamp.ns)
             self.newest = measured
         except (UnusableError, RosError) as error:
             self._unused.add(self.topic, str(error))
+
+    def _look_for_effort(self, message: JointState) -> None:
+        if message.effort or self._lacks_effort or not message.header.stamp.ns:
+            return
+        self._lacks_effort = True
+        self._unused.say(f"/{self.topic} has no effort, which is taken as 0: the limit on the jaw's closing effort can't act")
+
+    def _advance(self, measured_ns: int) -> None:
+        if measured_ns == self._measured_ns:
+            raise UnusableError("the header's stamp is that of the message before: nothing was measured since")
+        if measured_ns < self._measured_ns:
+            raise UnusableError("the header's stamp goes back: if that clock was set back, start the bridge again")
+        self._measured_ns = measured_ns

@@ -53,6 +53,11 @@ class Operating:
         """What keeps the arm from being commanded, if anything is known to."""
         return None if self.newest is None else fault_of(self.newest)
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether the arm moves by itself: it homes, or does a move_jp."""
+        return self.newest is not None and self.newest.is_busy
+
     def look(self) -> bool:
         """Takes what has come; whether the state or homed has changed."""
         before = self._known()
@@ -64,7 +69,7 @@ class Operating:
 
     def __str__(self) -> str:
         known = self._known()
-        return "unknown" if known is None else f"{known[0]}, {'homed' if known[1] else 'not homed'}"
+        return "unknown" if known is None else f"{known[0]}, {'homed' if known[1] else 'not homed'}{', busy' if self.is_busy else ''}"
 
     def _known(self) -> tuple[str, bool] | None:
         return None if self.newest is None else (self.newest.state, self.newest.is_homed)

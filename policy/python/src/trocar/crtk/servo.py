@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Iterable, Sequence
 
 from ..arms import ArmCommand
-from ..policy import Array
-from .dds import Ros
+from .dds import Ros, Writer
 from .messages import Header, JointState, Time
 
 #: For how long the set-point of an arm that has come to rest is sent again, ns. From then on it is held without: nobody else is in the way
@@ -20,25 +21,51 @@ _OVER_NS = 1_000_000_000
 _ACKNOWLEDGED_S = 1.0
 
 
+class _SetPoints:
+    """One topic of set-points."""
+
+    def __init__(self, ros: Ros, topic: str) -> None:
+        self.writer = ros.writer(topic, JointState)
+        self._position: list[float] = []
+        self._moves = False
+
+    def send(self, position: list[float], velocity: list[float]) -> None:
+        """Publishes a set-point."""
+        # An exception leaves open whether this one was sent, so it is noted before.
+        self._position = position
+        self._moves = self._moves or any(velocity)
+        self.writer.publish(JointState(Header(Time.of(time.time_ns())), [], position, velocity))
+        self._moves = any(velocity)
+
+    def hold(self) -> None:
+        """Sends the last position without velocity, if a velocity may be left there."""
+        if self._moves:
+            self.send(self._position, [0.0] * len(self._position))
+
+
 class Servo:
     """Publishes the set-points of the arm `name`: positions with velocities, which the dVRK feeds forward."""
 
     def __init__(self, ros: Ros, name: str) -> None:
-        self._joints = ros.writer(f"{name}/servo_jp", JointState)
-        self._jaw = ros.writer(f"{name}/jaw/servo_jp", JointState)
+        self._joints = _SetPoints(ros, f"{name}/servo_jp")
+        self._jaw = _SetPoints(ros, f"{name}/jaw/servo_jp")
         self._given: ArmCommand | None = None
         self._since_ns = 0
-        self._sent: ArmCommand | None = None
 
     @property
-    def topics(self) -> tuple[str, str]:
+    def writers(self) -> list[Writer[JointState]]:
+        """What it publishes with."""
+        return [self._joints.writer, self._jaw.writer]
+
+    @property
+    def topics(self) -> list[str]:
         """What it publishes."""
-        return self._joints.topic, self._jaw.topic
+        return [writer.topic for writer in self.writers]
 
     @property
     def unheard(self) -> list[str]:
         """Those to which nobody subscribes."""
-        return [writer.topic for writer in (self._joints, self._jaw) if not writer.matched]
+        return [writer.topic for writer in self.writers if not writer.matched]
 
     @property
     def is_over(self) -> bool:
@@ -46,38 +73,48 @@ class Servo:
         return self._given is None or not self._given.enabled or self._rested_ns >= _OVER_NS
 
     def follow(self, command: ArmCommand | None, *, withheld: bool) -> None:
-        """Publishes `command`, unless it is without torque, has been at rest for 0.1 s already, or is `withheld`."""
+        """Publishes `command`, unless it has been at rest for 0.1 s already. If it is without torque or `withheld`, the arm is held."""
         if not _repeats(command, self._given):
             self._since_ns = command.stamp_ns if command else 0
         self._given = command
-        if withheld:
-            self._sent = None
-        elif command is None or not command.enabled:
+        if withheld or command is None or not command.enabled:
             self.hold()
         elif self._rested_ns < _REPEATED_NS:
-            self._publish(command.position, command.velocity, command.jaw_position, command.jaw_velocity)
-            self._sent = command
+            self._joints.send(command.position.tolist(), command.velocity.tolist())
+            self._jaw.send([command.jaw_position], [command.jaw_velocity])
 
     def hold(self) -> None:
-        """Leaves no velocity behind: an arm that was last sent one is sent its last position without, since it would keep both for good."""
-        last, self._sent = self._sent, None
-        if last is not None and (last.velocity.any() or last.jaw_velocity):
-            self._publish(last.position, 0.0 * last.velocity, last.jaw_position, 0.0)
-
-    def close(self) -> None:
-        """Holds, and waits until that has arrived, for 1 s at most."""
-        self.hold()
-        for writer in (self._joints, self._jaw):
-            writer.wait(_ACKNOWLEDGED_S)
+        """Leaves no velocity behind: an arm that was last sent one is sent its last position once without, since it keeps both for good."""
+        _hold_each([self._joints, self._jaw])
 
     @property
     def _rested_ns(self) -> int:
         return self._given.stamp_ns - self._since_ns if self._given else 0
 
-    def _publish(self, position: Array, velocity: Array, jaw_position: float, jaw_velocity: float) -> None:
-        header = Header(Time.of(time.time_ns()))
-        self._joints.publish(JointState(header, [], position.tolist(), velocity.tolist()))
-        self._jaw.publish(JointState(header, [], [jaw_position], [jaw_velocity]))
+
+def close_all(servos: Sequence[Servo]) -> None:
+    """Holds every arm, and only then waits until that has arrived, for 1 s at most; raises what was raised last."""
+    try:
+        _hold_each(servos)
+    finally:
+        try:
+            # Once more, for what an interruption came upon.
+            _hold_each(servos)
+        finally:
+            _wait(servos)
+
+
+def _hold_each(held: Iterable[Servo | _SetPoints]) -> None:
+    """Holds each of `held`, whatever becomes of the others."""
+    with contextlib.ExitStack() as holding:
+        for one in held:
+            holding.callback(one.hold)
+
+
+def _wait(servos: Sequence[Servo]) -> None:
+    end_s = time.monotonic() + _ACKNOWLEDGED_S
+    for writer in (writer for servo in servos for writer in servo.writers):
+        writer.wait(max(end_s - time.monotonic(), 0.0))
 
 
 def _repeats(command: ArmCommand | None, before: ArmCommand | None) -> bool:

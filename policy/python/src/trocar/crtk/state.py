@@ -91,5 +91,5 @@ def bridge_state(
 
 def _refuse_others(ros: Ros, arms: Sequence[_Arm]) -> None:
     for topic in (topic for arm in arms for topic in arm.topics):
-        for who in ros.other_writers(topic):
+        for who in ros.publishers(topic):
             raise RosError(f"/{topic} is published by {who} already: choose another namespace with --as")
