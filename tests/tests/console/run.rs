@@ -16,8 +16,19 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 /// may keep it from its cores for so many times 50 ms until it lacks a measurement and ends.
 pub(crate) const SLOW_MOTION: u64 = 4;
 
-/// Setting for recordings whose colours do not matter, as they are made sooner.
+/// Setting for pictures whose colours do not matter, as they are drawn sooner.
 pub(crate) const PLAIN: &str = "scene.rendering.shading=plain";
+
+/// What has `trocar WORDS` draw the cameras of its own scene sooner, if it does and is not told how.
+fn plainly(words: &[&str]) -> &'static [&'static str] {
+    let is = |word| words.contains(&word);
+    let draws = (is("run") || is("record")) && is("--task") && !is("--backend");
+    if draws && !is(PLAIN) {
+        &["--set", PLAIN]
+    } else {
+        &[]
+    }
+}
 
 /// A process that serves a console. Its folder of operators' sockets is its own; they have short paths.
 pub(crate) struct Served {
@@ -104,6 +115,7 @@ impl Served {
             .env("XDG_STATE_HOME", folder)
             .env("TROCAR_SLOW_MOTION", slow_motion.to_string())
             .args(words)
+            .args(plainly(words))
             .arg("--json")
             .arg(folder.join("result.json"))
             .stdout(Stdio::null())
