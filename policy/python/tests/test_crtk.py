@@ -36,9 +36,9 @@ from trocar.crtk import CrtkArms, Fault, RosError
 from trocar.crtk.__main__ import _ending, main
 from trocar.crtk.cameras import cameras_of, exposure_ns
 from trocar.crtk.dds import Ros, domain_id
-from trocar.crtk.joints import Measured, UnusableError, joints_of
+from trocar.crtk.joints import Measured, joints_of
 from trocar.crtk.messages import CameraInfo, Header, Image, JointState, OperatingState, RegionOfInterest, Time
-from trocar.crtk.notes import Unused
+from trocar.crtk.notes import UnusableError, Unused
 from trocar.crtk.pictures import Lens, Size, colour_of, fitted, lens_of
 from trocar.crtk.readiness import FAULT_NS_MIN, Latch, fault_of
 from trocar.crtk.servo import Servo, close_all
@@ -177,6 +177,13 @@ def bridge(start: Callable[..., Process], name: str) -> Process:
     return start("-m", "trocar.crtk", "arms", "PSM1", "--topics", name)
 
 
+def served(start: Callable[..., Process], psm: Callable[..., Psm], name: str) -> tuple[Psm, Process]:
+    """A PSM, and the bridge that serves it."""
+    arm, serving = psm(), bridge(start, name)
+    serving.said("serving PSM1")
+    return arm, serving
+
+
 def run(session: Callable[..., Any], name: str, seconds: float) -> Any:
     on = ["--backend", "topics", "--topics", name, "--safety", str(SAFETY), "--no-log"]
     return session("run", *on, "--policy", "random", "--seconds", str(seconds), "--json", "-")
@@ -192,8 +199,7 @@ def limits() -> tuple[np.ndarray, float]:
 def test_a_run_moves_a_psm_within_limits_and_leaves_it_at_rest(
     name: str, session: Callable[..., Any], start: Callable[..., Process], psm: Callable[..., Psm]
 ) -> None:
-    arm, serving = psm(), bridge(start, name)
-    serving.said("serving PSM1")
+    arm, serving = served(start, psm, name)
     code, out, err = run(session, name, 2).end()
     assert code == 0, err
     assert json.loads(out)["reason"] == "the 2 s are over"
@@ -215,8 +221,7 @@ def test_a_run_moves_a_psm_within_limits_and_leaves_it_at_rest(
 def test_an_arm_that_leaves_enabled_ends_the_run_and_is_sent_nothing(
     name: str, session: Callable[..., Any], start: Callable[..., Process], psm: Callable[..., Psm]
 ) -> None:
-    arm, serving = psm(), bridge(start, name)
-    serving.said("serving PSM1")
+    arm, serving = served(start, psm, name)
     running = run(session, name, 60)
     arm.moves(running)
     arm.state("PAUSED")
@@ -246,8 +251,7 @@ def test_an_arm_that_leaves_enabled_ends_the_run_and_is_sent_nothing(
 def test_a_dead_controller_and_ctrl_c_leave_the_arm_at_rest(
     name: str, session: Callable[..., Any], start: Callable[..., Process], psm: Callable[..., Psm]
 ) -> None:
-    arm, serving = psm(), bridge(start, name)
-    serving.said("serving PSM1")
+    arm, serving = served(start, psm, name)
     killed = run(session, name, 60)
     arm.moves(killed)
     arm.mark()
@@ -320,8 +324,7 @@ def test_a_second_publisher_is_refused_by_name(name: str, topic: str, start: Cal
 def test_a_second_publisher_that_comes_later_is_named_and_the_run_goes_on(
     name: str, session: Callable[..., Any], start: Callable[..., Process], psm: Callable[..., Psm]
 ) -> None:
-    arm, serving = psm(), bridge(start, name)
-    serving.said("serving PSM1")
+    arm, serving = served(start, psm, name)
     running = run(session, name, 5)
     arm.moves(running)
     ros = Ros()
@@ -337,8 +340,7 @@ def test_a_second_publisher_that_comes_later_is_named_and_the_run_goes_on(
 def test_measurements_that_end_end_the_run(
     name: str, session: Callable[..., Any], start: Callable[..., Process], psm: Callable[..., Psm]
 ) -> None:
-    arm, serving = psm(), bridge(start, name)
-    serving.said("serving PSM1")
+    arm, serving = served(start, psm, name)
     running = run(session, name, 60)
     arm.moves(running)
     arm.process.tell("silent 1")

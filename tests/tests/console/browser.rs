@@ -4,7 +4,7 @@ use serde_json::Value;
 use tests::scratch;
 
 use crate::devtools::{Browser, Proxy};
-use crate::run::{PLAIN, SLOW_MOTION, Served, made_log};
+use crate::run::{SLOW_MOTION, Served, made_log};
 
 /// Texts whose contrast with what is behind them is below WCAG's AA (4.5, or 3 where they are large), disabled controls apart.
 const LOW_CONTRAST: &str = r"(() => {
@@ -311,7 +311,7 @@ fn the_page_follows_a_recording() {
         "--seed",
         "3",
     ];
-    let more = ["--console", "127.0.0.1:0", "--set", PLAIN];
+    let more = ["--console", "127.0.0.1:0"];
     let to = ["--out", out.to_str().unwrap()];
     let mut served = Served::start_at(&folder, &[&words[..], &more, &to].concat(), 1);
     let mut browser = Browser::open("console-browser-record-profile", &served.url());

@@ -19,15 +19,11 @@ pub(crate) const SLOW_MOTION: u64 = 4;
 /// Setting for pictures whose colours do not matter, as they are drawn sooner.
 pub(crate) const PLAIN: &str = "scene.rendering.shading=plain";
 
-/// What has `trocar WORDS` draw the cameras of its own scene sooner, if it does and is not told how.
+/// What has `trocar WORDS` draw the cameras of its own scene sooner, if it has any.
 fn plainly(words: &[&str]) -> &'static [&'static str] {
     let is = |word| words.contains(&word);
     let draws = (is("run") || is("record")) && is("--task") && !is("--backend");
-    if draws && !is(PLAIN) {
-        &["--set", PLAIN]
-    } else {
-        &[]
-    }
+    if draws { &["--set", PLAIN] } else { &[] }
 }
 
 /// A process that serves a console. Its folder of operators' sockets is its own; they have short paths.

@@ -8,18 +8,15 @@ import time
 from collections.abc import Sequence
 
 from ..arms import ArmCommand, ArmState, now_ns, serve_arms
-from ..messages import ARM_NAMES, JOINT_COUNT
-from .dds import Ros, RosError, ros_name
+from ..messages import JOINT_COUNT
+from .dds import DISCOVERY_S, Ros, RosError, arm_namespaces
 from .joints import Measured
-from .notes import Say, Unused, say_on_stderr
+from .notes import PATIENCE_S, Say, Unused, say_on_stderr
 from .readiness import Latch, Operating
 from .servo import Servo, close_all
 
-#: How long discovery gets to find other publishers, s, and time between two looks for them later on.
-_DISCOVERY_S = 1.0
-
-#: Whoever waits for longer wants to know for what, s.
-_PATIENCE_S = 0.5
+#: Time between two looks for what should not be, s.
+_WATCH_S = 1.0
 
 #: Time between two looks while waiting, s.
 _LOOK_S = 0.005
@@ -120,15 +117,14 @@ class CrtkArms:
         ending: threading.Event | None = None,
         say: Say = say_on_stderr,
     ) -> None:
-        if not 1 <= len(names) <= len(ARM_NAMES) or len(set(names)) != len(names):
-            raise RosError(f"arms {' '.join(names)}: allowed are 1 to {len(ARM_NAMES)} different ones")
+        namespaces = arm_namespaces(names)
         self._say = say
         self._ending = ending or threading.Event()
         self._ros = Ros(domain)
         self._unused = Unused(say)
-        self._arms = [_Arm(self._ros, ros_name(name), self._unused, say) for name in names]
+        self._arms = [_Arm(self._ros, name, self._unused, say) for name in namespaces]
         self._begun_s = time.monotonic()
-        self._served = False
+        self._ready = False
         self._looked_ns = now_ns()
         self._watched_s = 0.0
         self._warnings: list[str] = []
@@ -142,11 +138,12 @@ class CrtkArms:
         while not self._ending.is_set():
             waited_s = time.monotonic() - self._begun_s
             lacking = self._lacking()
-            if waited_s >= _DISCOVERY_S:
+            if waited_s >= DISCOVERY_S:
                 self._refuse_doubled()
                 if lacking is None:
+                    self._ready = True
                     return True
-            if lacking is not None and lacking != said and waited_s >= _PATIENCE_S:
+            if lacking is not None and lacking != said and waited_s >= PATIENCE_S:
                 said = lacking
                 self._say(f"waiting for {lacking} (ROS domain {self._ros.domain})")
             time.sleep(_LOOK_S)
@@ -154,9 +151,8 @@ class CrtkArms:
 
     def exchange(self, commands: Sequence[ArmCommand] | None) -> list[ArmState]:
         """See `trocar.Arms`. The first call waits until the arms are ready; `KeyboardInterrupt` if `ending` was set before."""
-        if not self._served and not self.wait():
+        if not self._ready and not self.wait():
             raise KeyboardInterrupt
-        self._served = True
         begun_ns = now_ns()
         since_ns, self._looked_ns = self._looked_ns, begun_ns
         given: Sequence[ArmCommand | None] = commands or [None] * len(self._arms)
@@ -186,9 +182,9 @@ class CrtkArms:
             raise RosError("; ".join(doubled))
 
     def _watch(self) -> None:
-        """Says once a second what is new of what should not be."""
+        """Says what is new of what should not be."""
         now_s = time.monotonic()
-        if now_s < self._watched_s + _DISCOVERY_S:
+        if now_s < self._watched_s + _WATCH_S:
             return
         self._watched_s = now_s
         warnings = [f"{missing}: not there any more" for missing in (arm.missing() for arm in self._arms) if missing]

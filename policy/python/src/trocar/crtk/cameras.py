@@ -12,9 +12,8 @@ from cyclonedds.util import duration
 from ..arms import now_ns
 from ..cameras import CameraPublisher
 from .dds import Ros, RosError, ros_name
-from .joints import UnusableError
 from .messages import CameraInfo, Header, Image
-from .notes import Say, Unused, say_on_stderr
+from .notes import PATIENCE_S, Say, UnusableError, Unused, say_on_stderr
 from .pictures import Lens, Size, colour_of, fitted, lens_of
 
 #: How far a header's stamp may lie in the past to be this machine's, ns.
@@ -22,9 +21,6 @@ _AGE_NS_MAX = 1_000_000_000
 
 #: Longest time between two looks, s.
 _LOOK_S = 0.1
-
-#: Whoever waits for longer wants to know for what, s.
-_PATIENCE_S = 0.5
 
 
 def exposure_ns(header: Header) -> int:
@@ -49,7 +45,6 @@ class CameraBridge:
         self._size = size
         self._say = say
         self.unused = Unused(say)
-        self._info: CameraInfo | None = None
         self._lens: tuple[Lens, tuple[int, int]] | None = None
         self.frames = 0
 
@@ -120,7 +115,7 @@ def bridge_cameras(
     waiting = WaitSet(ros.participant)
     for condition in conditions:
         waiting.attach(condition)
-    patience_s = time.monotonic() + _PATIENCE_S
+    patience_s = time.monotonic() + PATIENCE_S
     while not (ending and ending.is_set()):
         waiting.wait(duration(seconds=_LOOK_S))
         for bridge in bridges:

@@ -16,10 +16,14 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
+from ..messages import ARM_NAMES
 from .messages import TYPE_HASHES
 
 #: ROS 2's domain ids, as far as DDS has ports for them.
 DOMAIN_MAX = 232
+
+#: How long discovery gets to find other publishers, s.
+DISCOVERY_S = 1.0
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _ENDPOINTS_MAX = 256
@@ -45,6 +49,13 @@ def ros_name(text: str) -> str:
     if not _NAME.fullmatch(name):
         raise RosError(f"{text!r} is no ROS name: use letters, digits and '_', with '/' between")
     return name
+
+
+def arm_namespaces(names: Sequence[str]) -> list[str]:
+    """The namespaces `names` of arms, of which a run has one or two."""
+    if not 1 <= len(names) <= len(ARM_NAMES) or len(set(names)) != len(names):
+        raise RosError(f"arms {' '.join(names)}: allowed are 1 to {len(ARM_NAMES)} different ones")
+    return [ros_name(name) for name in names]
 
 
 class Ros:

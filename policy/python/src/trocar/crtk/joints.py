@@ -10,11 +10,7 @@ import numpy as np
 from ..policy import Array
 from .dds import Ros, RosError
 from .messages import JointState
-from .notes import Unused
-
-
-class UnusableError(ValueError):
-    """A message can't be used; says why."""
+from .notes import UnusableError, Unused
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,14 @@ def say_on_stderr(line: str) -> None:
     print(f"trocar.crtk: {line}", file=sys.stderr, flush=True)
 
 
+#: Whoever waits for longer wants to know for what, s.
+PATIENCE_S = 0.5
+
+
+class UnusableError(ValueError):
+    """A message can't be used; says why."""
+
+
 class Unused:
     """Messages that were not used, counted by topic and reason; the first of each is named."""
 

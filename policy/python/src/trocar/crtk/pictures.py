@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .dds import RosError
-from .joints import UnusableError
 from .messages import CameraInfo, Image
+from .notes import UnusableError
 
 #: Bytes a pixel, and where red, green and blue are among them.
 _ENCODINGS = {

@@ -10,15 +10,12 @@ from collections.abc import Sequence
 from ..arms import arms_of, now_ns
 from ..messages import ARM_NAMES, ArmFeedback, ArmSetpoint
 from ..topics import Node
-from .dds import Ros, RosError, ros_name
+from .dds import DISCOVERY_S, Ros, RosError, arm_namespaces
 from .messages import Header, JointState, Time
 from .notes import Say, say_on_stderr
 
 #: Rate of publication unless another one is asked for, Hz: the dVRK's own default.
 RATE_HZ = 100.0
-
-#: How long discovery gets to find other publishers, s.
-_DISCOVERY_S = 1.0
 
 #: The dVRK's names of the joints.
 _JOINTS = ["yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"]
@@ -71,14 +68,13 @@ def bridge_state(
     Of each arm ``measured_js`` and ``jaw/measured_js``, and while it is commanded with torque ``setpoint_js`` and ``jaw/setpoint_js``;
     nothing is published twice. Raises `RosError`, in particular if another process publishes one of them, and `trocar.TopicError`.
     """
-    if not 1 <= len(names) <= len(ARM_NAMES) or len(set(names)) != len(names):
-        raise RosError(f"arms {' '.join(names)}: allowed are 1 to {len(ARM_NAMES)} different ones")
+    namespaces = arm_namespaces(names)
     if not 0 < rate_hz < math.inf:
         raise RosError(f"rate_hz = {rate_hz}: allowed is more than 0")
     ending = ending or threading.Event()
     ros, node = Ros(domain), Node(arms_of(topics))
-    arms = [_Arm(node, ros, arm, ros_name(name)) for arm, name in zip(ARM_NAMES, names)]
-    time.sleep(_DISCOVERY_S)
+    arms = [_Arm(node, ros, arm, name) for arm, name in zip(ARM_NAMES, namespaces)]
+    time.sleep(DISCOVERY_S)
     _refuse_others(ros, arms)
     say(f"publishing {', '.join(names)} of topics {topics!r} in ROS domain {ros.domain}")
     next_s = time.monotonic()
