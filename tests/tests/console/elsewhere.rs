@@ -1,13 +1,16 @@
 //! Runs whose arms are in another process, as pages see them: cameras, the scene and how the task stands come over topics.
 
 use std::io::{BufRead as _, BufReader};
+use std::path::Path;
 use std::process::{Child, Stdio};
 
 use serde_json::{Value, json};
 use tests::{repository, scratch, trocar};
 
+use crate::intervention::{changes, driver};
 use crate::page::Page;
-use crate::run::{SLOW_MOTION, Served};
+use crate::run::{SLOW_MOTION, Served, verified};
+use crate::teleop::{Operator, engaged, rested, tip, way};
 
 /// Where a page is told that everything in the scene is.
 const SCENE: u8 = 255;
@@ -47,9 +50,9 @@ impl Simulator {
     }
 
     /// A run that leads its arm, with a console.
-    fn run(&self, test: &str, what: &[&str]) -> Served {
+    fn run(&self, test: &str, policy: &str, what: &[&str]) -> Served {
         let words = ["run", "--backend", "topics", "--topics", &self.topics];
-        let policy = ["--policy", "random", "--seed", "7"];
+        let policy = ["--policy", policy, "--seed", "7"];
         let words = [&words[..], &policy, what].concat();
         Served::start_slow(test, &words, SLOW_MOTION)
     }
@@ -91,7 +94,7 @@ fn a_page_sees_the_world_of_another_process() {
     let _turn = tests::alone();
     let simulator = Simulator::start("console-world");
     let task = [&["--task", "needle-lift"][..], &LONG].concat();
-    let mut served = simulator.run("console-world", &task);
+    let mut served = simulator.run("console-world", "random", &task);
     let mut page = Page::open(&served);
     let facts = page.wait_for("facts", |_| true);
     assert_eq!(facts["title"], "needle-lift");
@@ -144,7 +147,7 @@ fn a_page_sees_the_cameras_of_a_robot() {
         "--log",
         log.to_str().unwrap(),
     ];
-    let mut served = simulator.run("console-robot", &what);
+    let mut served = simulator.run("console-robot", "random", &what);
     let mut page = Page::open(&served);
     let facts = page.wait_for("facts", |_| true);
     assert_eq!(
@@ -158,4 +161,84 @@ fn a_page_sees_the_cameras_of_a_robot() {
     assert!(page.command("stop").0);
     page.wait_for("end", |_| true);
     served.code();
+}
+
+/// The hand is taken, and rises: so does the tip, which did not jump before.
+fn rises(operator: &mut Operator) {
+    let start = rested(&mut operator.page);
+    operator.engage();
+    assert!(way(tip(&operator.repeat(3)), start) < 1e-4, "no jump");
+    operator.rise(9);
+    let risen = tip(&operator.settle());
+    assert!(risen[1] - start[1] > 0.004, "{start:?} {risen:?}");
+}
+
+/// The operator's stop ends the run, whose log is of a run by hand that kept every limit and replays.
+fn ends(mut served: Served, mut page: Page, log: &Path) -> Value {
+    assert!(page.command("stop").0);
+    page.wait_for("end", |_| true);
+    served.code();
+    verified(log);
+    let replay = trocar().arg("replay").arg(log).output().unwrap();
+    assert!(replay.status.success(), "{}", tests::stderr(&replay));
+    tests::json(&served.folder.join("result.json"))["teleop"].clone()
+}
+
+/// Hands move the arm of a task in another process as they do one of the run's own, in the axes of its picture.
+#[test]
+fn hands_move_the_arm_of_another_process() {
+    let _turn = tests::alone();
+    let simulator = Simulator::start("console-hands");
+    let log = scratch("console-hands-log").join("run.mcap");
+    let what = ["--task", "needle-lift", "--log", log.to_str().unwrap()];
+    let served = simulator.run("console-hands", "teleop", &[&what[..], &LONG].concat());
+    let mut page = Page::open(&served);
+    let facts = page.wait_for("facts", |_| true);
+    let endoscope = place(&facts, "endoscope");
+    assert_eq!(facts["picture"]["camera"], endoscope, "{facts}");
+    let mut operator = Operator::take_control(page);
+    operator.until(|state| state["seconds"].as_f64() > Some(0.3));
+    rises(&mut operator);
+    let teleop = ends(served, operator.page, &log);
+    assert!(teleop["engagements"].as_u64() > Some(0), "{teleop}");
+}
+
+/// A robot without a task is moved in the axes that were told, beside its policy: hands take over and hand back.
+#[test]
+fn hands_take_over_from_the_policy_of_a_robot() {
+    let _turn = tests::alone();
+    let simulator = Simulator::start("console-beside");
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let log = scratch("console-beside-log").join("run.mcap");
+    let what = [
+        "--safety",
+        safety.to_str().unwrap(),
+        "--hands-view",
+        "psm1=25,0,15",
+        "--log",
+        log.to_str().unwrap(),
+    ];
+    let served = simulator.run("console-beside", "random", &what);
+    let mut operator = Operator::take_control(Page::open(&served));
+    let state = operator.repeat(5);
+    assert_eq!(driver(&state), "policy", "{state}");
+    operator.engage();
+    let state = operator.until(|state| driver(state) == "operator");
+    assert!(engaged(&state), "{state}");
+    rises(&mut operator);
+    operator.page.say(&json!({ "hand_back": true }));
+    let back = |state: &Value| driver(state) == "policy";
+    operator.page.wait_for("state", back);
+    let state = operator.repeat(10);
+    assert!(back(&state) && !engaged(&state), "{state}");
+    let moved = tip(&state);
+    operator.until(|state| way(tip(state), moved) > 0.002);
+    let teleop = ends(served, operator.page, &log);
+    let interventions = &teleop["interventions"];
+    let counts = ["taken_over", "handed_back"].map(|what| interventions[what].as_u64());
+    assert_eq!(counts, [Some(1), Some(1)], "{interventions}");
+    assert_eq!(
+        changes(&log),
+        ["Enable", "TakeOver", "HandBack", "Pause", "Disable"]
+    );
 }

@@ -20,12 +20,12 @@ fn record(data: &Path) -> Vec<String> {
     words.chain(out).collect()
 }
 
-fn driver(state: &Value) -> &str {
+pub(crate) fn driver(state: &Value) -> &str {
     state["teleop"]["driver"].as_str().unwrap_or_default()
 }
 
 /// What a log says of who drove, one entry each time that another did.
-fn changes(log: &Path) -> Vec<String> {
+pub(crate) fn changes(log: &Path) -> Vec<String> {
     let log = RunLog::open(log).unwrap();
     let operators = log.ticks().filter_map(|(tick, _)| tick.arms.first.operator);
     operators.map(|event| format!("{event:?}")).collect()

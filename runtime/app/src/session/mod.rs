@@ -71,6 +71,6 @@ mod tests;
 pub use error::SessionError;
 pub use plan::Plan;
 pub use policy_choice::PolicyChoice;
-pub use robot::Robot;
+pub use robot::{HandsView, Robot};
 pub use setup::Setup;
 pub use world_report::TaskState;

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use hal::{Arm as _, TimeNs};
+use hal::{Arm as _, Pose, TimeNs};
 use tch::Device;
 use trocar_log::{LogError, Pressure, Recorder, RunHeader, Writing};
 use trocar_nets::compute::Compute;
@@ -41,6 +41,10 @@ pub trait Arms {
 
     /// The task, if there is one.
     fn task(&self) -> Option<&Setup>;
+
+    /// The axes in which an operator's hands move (x to the right, y up, z towards the viewer), as each arm's RCM frame has them; none if they are
+    /// not known.
+    fn rcms_from_view(&self) -> Vec<Pose>;
 
     /// What answers in this process.
     ///

@@ -2,9 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::str::FromStr;
 
-use hal::ArmState;
 use hal::config::Source;
+use hal::{ARM_NAMES, ArmState, Pose};
+use nalgebra::{Translation3, UnitQuaternion};
 use trocar_nets::checkpoint::{Recipe, load_recipe};
 use trocar_nets::compute::Compute;
 use trocar_nets::loaded_policy::{LoadedPolicy, PolicyOutline};
@@ -27,10 +29,51 @@ pub struct Robot {
     pub texts: Texts,
     /// Whose arms they are: a task's by name, or else the file that the limits were read from.
     pub name: String,
+    /// The axes in which an operator's hands move (x to the right, y up, z towards the viewer), as each arm's RCM frame has them; none if no
+    /// hands are to move the arms.
+    pub rcms_from_view: Vec<Pose>,
     /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
     pub trained_on: Option<String>,
     /// SHA-256 of the policy's weights, if it is a checkpoint: what results and logs know them by.
     pub weights_sha256: Option<String>,
+}
+
+/// The axes in which an operator's hands move an arm, `ARM=X,Y,Z`: how those of the view (x to the right, y up, z towards the viewer) are turned
+/// in the arm's RCM frame, degrees about its x, then its y, then its z.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HandsView {
+    arm: String,
+    rcm_from_view: Pose,
+}
+
+impl FromStr for HandsView {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let form = "it has the form ARM=X,Y,Z, such as psm1=25,0,0, each in [-360, 360] degrees";
+        let (arm, angles) = text.split_once('=').ok_or(form)?;
+        let angles: Vec<f64> = angles
+            .split(',')
+            .map(|angle| angle.trim().parse().map_err(|_| form))
+            .collect::<Result<_, _>>()?;
+        let within = angles.iter().all(|angle| (-360.0..=360.0).contains(angle));
+        let &[roll, pitch, yaw] = angles.as_slice() else {
+            return Err(form.to_owned());
+        };
+        if !within {
+            return Err(form.to_owned());
+        }
+        let [roll, pitch, yaw] = [roll, pitch, yaw].map(f64::to_radians);
+        let rotation = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+        Ok(Self {
+            arm: arm.trim().to_owned(),
+            rcm_from_view: Pose::from_parts(Translation3::identity(), rotation),
+        })
+    }
+}
+
+fn bad_view(reason: &str) -> SessionError {
+    SessionError::BadArgument(format!("--hands-view ARM=X,Y,Z: {reason}"))
 }
 
 /// Effective configuration texts.
@@ -112,8 +155,37 @@ impl Robot {
                 can: None,
             },
             name: name.to_owned(),
+            rcms_from_view: Vec::new(),
             trained_on: recipe.map(|recipe| recipe.dataset.task),
             weights_sha256: policy.weights_sha256()?,
+        })
+    }
+
+    /// The same, whose arms an operator's hands may move in the axes of `views`, one an arm.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] if an arm has none, or another or the same one twice is named.
+    pub fn moved_in(self, views: &[HandsView]) -> Result<Self, SessionError> {
+        let arms = self.arms();
+        let mut rcms_from_view = Vec::new();
+        for name in ARM_NAMES.iter().take(arms) {
+            let mut of_arm = views.iter().filter(|view| view.arm == *name);
+            match (of_arm.next(), of_arm.next()) {
+                (Some(view), None) => rcms_from_view.push(view.rcm_from_view),
+                (None, _) => return Err(bad_view(&format!("{name} has none"))),
+                (Some(_), Some(_)) => return Err(bad_view(&format!("{name} has two"))),
+            }
+        }
+        let stranger = views
+            .iter()
+            .find(|view| !ARM_NAMES.iter().take(arms).any(|name| view.arm == *name));
+        if let Some(HandsView { arm, .. }) = stranger {
+            let reason = format!("there is no arm {arm}, {} has {arms}", self.name);
+            return Err(bad_view(&reason));
+        }
+        Ok(Self {
+            rcms_from_view,
+            ..self
         })
     }
 
@@ -200,6 +272,10 @@ impl Arms for Robot {
         None
     }
 
+    fn rcms_from_view(&self) -> Vec<Pose> {
+        self.rcms_from_view.clone()
+    }
+
     /// A policy that sees nothing but the arms: the expert needs a scene, a checkpoint has a process of its own, and one's own
     /// policy is handed to a run.
     fn source(
@@ -211,8 +287,10 @@ impl Arms for Robot {
         match choice {
             PolicyChoice::Noop => Ok(ChunkSource::noop()),
             PolicyChoice::Random => Ok(ChunkSource::random(seed)),
+            PolicyChoice::Teleop => Err(SessionError::BadArgument(
+                "policy teleop: of a robot without a task it needs --hands-view ARM=X,Y,Z, the axes in which hands move each arm".to_owned(),
+            )),
             PolicyChoice::Expert
-            | PolicyChoice::Teleop
             | PolicyChoice::Operator(_)
             | PolicyChoice::Checkpoint(_)
             | PolicyChoice::Own(_)

@@ -14,7 +14,7 @@ use super::plan::Arms;
 use super::policy_choice::PolicyChoice;
 use super::scene_options::SceneOptions;
 use super::source::ChunkSource;
-use super::teleop::SimulatedOperator;
+use super::teleop::{SimulatedOperator, rcms_from_view};
 use super::{Robot, SessionError, tasks};
 use crate::study::address::hash_text;
 use trocar_control::{AnyController, ControlConfig};
@@ -222,6 +222,10 @@ impl Arms for Setup {
 
     fn task(&self) -> Option<&Setup> {
         Some(self)
+    }
+
+    fn rcms_from_view(&self) -> Vec<Pose> {
+        rcms_from_view(&self.task)
     }
 
     fn source(

@@ -9,7 +9,7 @@ use clap::builder::{
 use clap::{Arg, Args, Command, Parser, Subcommand, ValueEnum};
 
 use trocar::session::changes::Change;
-use trocar::session::tasks;
+use trocar::session::{HandsView, tasks};
 
 use crate::about::{CompletionsArgs, ConfigVerb, ManArgs};
 use crate::anatomy::AnatomyVerb;
@@ -339,6 +339,15 @@ pub(crate) struct RunArgs {
     /// With --safety: after how long the run ends, s, up to 86400; if not given, only a signal or a fault ends it.
     #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
     pub(crate) seconds: Option<f64>,
+    /// With --safety: the axes in which an operator's hands move an arm, once an arm: how the view (x to the right, y up, z towards the viewer) is turned
+    /// in the arm's RCM frame, degrees about its x, then y, then z. --policy teleop needs it, and so does whoever is to take over from a policy on the --console.
+    #[arg(
+        long,
+        value_name = "ARM=X,Y,Z",
+        requires = "safety",
+        allow_hyphen_values = true
+    )]
+    pub(crate) hands_view: Vec<HandsView>,
     /// `expert`, `noop`, `random`, `teleop` (an operator's hands, over --console or from --hands), `simulated-operator` (with --lockstep), a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
     /// `external:NAME`, such as one of the Python package in policy/python.
     #[arg(long)]

@@ -293,6 +293,9 @@ fn run_robot(
     files.push(ConfigFile::Realtime);
     changes.only(&files)?;
     let mut robot = Robot::load(safety, args.config.as_deref(), &chosen.policy, &changes)?;
+    if !args.hands_view.is_empty() {
+        robot = robot.moved_in(&args.hands_view)?;
+    }
     let cameras = args.cameras.iter().flat_map(|names| names.split(','));
     let asked = RobotOptions {
         seconds: args.seconds,

@@ -23,6 +23,7 @@
 
 mod arm_chunks;
 mod arm_states;
+mod by_hand;
 mod cameras;
 mod cameras_child;
 mod cameras_process;
@@ -53,7 +54,7 @@ mod watch;
 use std::sync::Arc;
 
 use hal::{ArmState, Chunk, TICK_NS};
-use rtrb::{Consumer, RingBuffer};
+use rtrb::RingBuffer;
 use trocar_tasks::simulation::{Rendering, Simulation};
 use trocar_tasks::task::Outcome;
 
@@ -66,13 +67,12 @@ pub use remote_arms::{
 pub use robot::{RobotOptions, run_rig};
 pub(super) use simulation_thread::is_due;
 
-use super::PolicyChoice;
 use super::ended::Ended;
 use super::operator::{Listener, OperatorPort};
 use super::run::RunResult;
 use super::source::ChunkSource;
 use super::summary::TissueSummary;
-use super::teleop::{Demonstrating, EpisodeCommand, Intervention, TeleopCommand};
+use super::teleop::{Demonstrating, EpisodeCommand};
 use super::{Plan, SessionError, episode};
 use crate::mailbox::mailbox;
 use crate::rig::threads::ThreadsRig;
@@ -142,7 +142,7 @@ fn run_threads(
     let (listener, mut operator) = listen(true);
     let port = (listener.as_ref(), &mut operator);
     let console = show_task(plan, &simulation.snapshot(), port)?;
-    let (intervention, hands) = intervention(plan).unzip();
+    let (intervention, hands) = by_hand::intervention(plan).unzip();
     let signals = Arc::new(Signals::of(plan.console.as_ref()));
     let (observers, mut shown) = Observers::open(plan, stage, child.as_deref(), console)?;
     let (tick_log, side_log, scenes, log) = split(plan.open_log(false)?);
@@ -188,17 +188,6 @@ fn run_threads(
 fn demonstrating(plan: &Plan) -> Option<Demonstrating> {
     let console = plan.console.as_ref().filter(|_| plan.demonstrates)?;
     Some(Demonstrating::new(console.hands()))
-}
-
-/// An operator who may take over from the policy of `plan`: on the console, if there is one. And the control thread's end.
-fn intervention(plan: &Plan) -> Option<(Intervention, Consumer<TeleopCommand>)> {
-    let by_hand = plan.policy == PolicyChoice::Teleop;
-    let console = plan.console.as_ref();
-    let console = console.filter(|console| console.has_page() && !by_hand)?;
-    let (to, from) = RingBuffer::new(CHUNK_QUEUE);
-    let hands = console.hands();
-    let intervention = Intervention::new(&plan.setup, &hands, plan.demonstrates, to);
-    Some((intervention, from))
 }
 
 /// What the control thread, whoever observes and the simulation have of a log, and the log itself.

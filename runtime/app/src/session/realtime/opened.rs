@@ -66,15 +66,14 @@ impl<'a> Opened<'a> {
 
     /// An operator's hands, which the console of `plan` tells of.
     fn by_hand<S: Arms>(plan: &Plan<S>) -> Result<Self, SessionError> {
-        match (&plan.console, plan.setup.task()) {
-            (Some(console), Some(setup)) => {
-                let hands = Teleop::new(setup, console.hands(), plan.demonstrates);
-                let source = ChunkSource::Teleop(Box::new(hands));
-                Ok(Self::Local(Box::new(source)))
-            }
+        let views = plan.setup.rcms_from_view();
+        let console = plan.console.as_ref().filter(|_| !views.is_empty());
+        let Some(console) = console else {
             // Which says what is missing.
-            (None, _) | (_, None) => Ok(Self::Local(Box::new(plan.source()?))),
-        }
+            return Ok(Self::Local(Box::new(plan.source()?)));
+        };
+        let hands = Teleop::new(&views, console.hands(), plan.demonstrates);
+        Ok(Self::Local(Box::new(ChunkSource::Teleop(Box::new(hands)))))
     }
 
     /// The cameras that it looks through, with their sizes in pixels if it asks for some.

@@ -122,6 +122,7 @@ pub(super) fn show_rig<S: Arms>(
     let mut facts = facts_of(plan, title, cameras.clone()).on_buses(interfaces, bit_rate);
     if let Some(setup) = task {
         facts = facts.within_s(setup.task.time_limit_s);
+        facts = facts.moved_in(picture_of(&setup.task));
     }
     let Some(console) = &plan.console else {
         show_operator(facts, listener, port);

@@ -129,7 +129,7 @@ pub(super) struct SimulationThread {
     pub(super) shown: Shown,
     pub(super) local: Option<(ChunkSource, Producer<PerArm<Chunk>>)>,
     /// An operator who may take over from the policy, if there is one.
-    pub(super) intervention: Option<Intervention>,
+    pub(super) intervention: Option<Box<Intervention>>,
     /// What is written down, if a person demonstrates.
     pub(super) demonstrating: Option<Demonstrating>,
     pub(super) signals: Arc<Signals>,

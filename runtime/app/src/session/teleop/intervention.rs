@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use hal::{ArmObservation, Chunk, PerArm, TICK_S, TipTarget};
+use hal::{ArmObservation, Chunk, PerArm, Pose, TICK_S, TipTarget};
 use rtrb::Producer;
 
 use super::{CHUNK_TICKS, Driver, Hands, TIME_FACTOR, Teleop};
-use crate::session::{SessionError, Setup};
+use crate::session::SessionError;
 
 /// Time between two answers of the hands, s.
 #[expect(clippy::cast_precision_loss, reason = "a handful of ticks")]
@@ -39,14 +39,15 @@ pub(crate) struct Intervention {
 }
 
 impl Intervention {
-    /// Of the arms of `setup`, whose policy drives, unless the episode `waits` for its start: till then the hands hold the arms.
+    /// Of arms that see the view at `rcms_from_view`, whose policy drives, unless the episode `waits` for its start: till then the hands hold
+    /// the arms. An episode of `limit_s` may take longer by what the hands drive, up to a factor of [`TIME_FACTOR`].
     pub(crate) fn new(
-        setup: &Setup,
+        rcms_from_view: &[Pose],
         hands: &Arc<Hands>,
-        waits: bool,
+        (waits, limit_s): (bool, f64),
         to: Producer<TeleopCommand>,
     ) -> Self {
-        let teleop = Teleop::new(setup, Arc::clone(hands), waits);
+        let teleop = Teleop::new(rcms_from_view, Arc::clone(hands), waits);
         hands.beside_policy();
         Self {
             teleop,
@@ -54,7 +55,7 @@ impl Intervention {
             to,
             said: Driver::Policy,
             begun: false,
-            left_s: (TIME_FACTOR - 1.0) * setup.task.time_limit_s,
+            left_s: (TIME_FACTOR - 1.0) * limit_s,
             notices: Vec::new(),
         }
     }

@@ -52,7 +52,7 @@ pub(crate) use message::{HandsMessage, HandsMessageError};
 pub use operator::{DELAYS_MS, OperatorFigures, SimulatedOperator, TREMORS_MM};
 pub use source::Teleop;
 pub(crate) use status::{Phase, Recording, TeleopStatus};
-pub(crate) use view::picture;
+pub(crate) use view::{picture, rcms_from_view};
 
 /// By how much longer an operator may take than the task allows its policies.
 pub const TIME_FACTOR: f64 = 10.0;

@@ -8,10 +8,9 @@ use trocar_control::kinematics::forward;
 
 use super::clutch::ReleaseCause;
 use super::hands::{Hands, Look, Moving};
-use super::view::rcm_from_view;
 use super::{ArmCommanded, Commanded, Driver};
+use crate::session::SessionError;
 use crate::session::source::STEP_NS;
-use crate::session::{SessionError, Setup};
 
 /// Angle between the jaw fingers with the trigger let go, and pressed, rad. The latter is below contact: it presses.
 pub(super) const JAW_OPEN_RAD: f64 = 0.7;
@@ -74,14 +73,15 @@ struct Anchor {
 }
 
 impl Teleop {
-    /// The source for the arms of `setup`, which `hands` move. With `waits`, they move nothing before the episode is started.
-    pub(crate) fn new(setup: &Setup, hands: Arc<Hands>, waits: bool) -> Self {
-        let arms = setup.task.arms.iter().map(|arm| HandledArm {
-            rcm_from_view: rcm_from_view(&setup.task, &arm.scene_from_rcm),
+    /// The source for arms of which each sees the view at that pose of `rcms_from_view`, which `hands` move. With `waits`, they move nothing
+    /// before the episode is started.
+    pub(crate) fn new(rcms_from_view: &[Pose], hands: Arc<Hands>, waits: bool) -> Self {
+        let arms = rcms_from_view.iter().map(|view| HandledArm {
+            rcm_from_view: *view,
             engaged: None,
             held: None,
         });
-        hands.begin(setup.task.arms.len(), waits);
+        hands.begin(rcms_from_view.len(), waits);
         Self {
             hands,
             arms: arms.collect(),

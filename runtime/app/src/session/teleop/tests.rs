@@ -61,7 +61,7 @@ impl Bench {
     fn new(waits: bool) -> Self {
         let setup = Setup::load("needle-lift", None, &PolicyChoice::Teleop).unwrap();
         let hands = Arc::new(Hands::new());
-        let teleop = Teleop::new(&setup, Arc::clone(&hands), waits);
+        let teleop = Teleop::new(&rcms_from_view(&setup.task), Arc::clone(&hands), waits);
         let (commanded, from) = mailbox();
         hands.follow(from);
         Self {
@@ -112,6 +112,10 @@ impl Bench {
                 follows: self.follows,
             }),
         });
+    }
+
+    fn views(&self) -> Vec<hal::Pose> {
+        rcms_from_view(&self.setup.task)
     }
 
     fn seen(&self) -> PerArm<ArmObservation> {
@@ -490,7 +494,7 @@ fn hands_move_nothing_outside_an_episode() {
 fn who_drives_is_whom_the_control_thread_follows_since_the_start() {
     let mut bench = Bench::new(false);
     let (to, mut control_thread) = RingBuffer::new(1);
-    let mut beside = Intervention::new(&bench.setup, &bench.hands, true, to);
+    let mut beside = Intervention::new(&bench.views(), &bench.hands, (true, 10.0), to);
     let driver = |beside: &Intervention| beside.asked().map(|(driver, _)| driver);
     let look = |bench: &mut Bench, beside: &mut Intervention, follows| {
         bench.driver = follows;

@@ -14,6 +14,13 @@ pub(super) fn rcm_from_view(task: &TaskConfig, scene_from_rcm: &Pose) -> Pose {
     scene_from_rcm.inverse() * camera.map_or_else(Pose::identity, scene_from_view)
 }
 
+/// That of each arm of `task`, in their order.
+pub(crate) fn rcms_from_view(task: &TaskConfig) -> Vec<Pose> {
+    let arms = task.arms.iter();
+    arms.map(|arm| rcm_from_view(task, &arm.scene_from_rcm))
+        .collect()
+}
+
 /// The camera of that picture, in the order of the task's.
 pub(crate) fn picture(task: &TaskConfig) -> Option<usize> {
     let find = |fits: fn(&CameraConfig) -> bool| task.cameras.iter().position(fits);
@@ -32,7 +39,43 @@ fn scene_from_view(camera: &CameraConfig) -> Pose {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::{PolicyChoice, Setup};
+    use crate::session::{HandsView, PolicyChoice, Setup};
+
+    /// What a robot is told of its operator's view is what a task has of its own.
+    #[test]
+    fn a_view_that_is_told_is_that_of_the_task() {
+        let setup = Setup::load("needle-handover", None, &PolicyChoice::Noop).unwrap();
+        let told = ["psm2=25,30,0", "psm1=25, -30, 0"].map(|text| text.parse().unwrap());
+        let robot = setup.robot.clone().moved_in(&told).unwrap();
+        let views = rcms_from_view(&setup.task);
+        for (told, view) in robot.rcms_from_view.iter().zip(&views) {
+            let apart = told.rotation.angle_to(&view.rotation);
+            assert!(apart < 1e-3, "{apart}");
+        }
+        let refused = |texts: &[&str]| {
+            let views = texts.iter().map(|text| text.parse::<HandsView>());
+            let views: Result<Vec<_>, String> = views.collect();
+            views.map_or_else(|reason| reason, |views| robot_of(&setup, &views))
+        };
+        for (texts, expected) in [
+            (&["psm1=0,0,0"][..], "psm2 has none"),
+            (&["psm1=0,0,0", "psm2=0,0,0", "psm2=1,0,0"], "psm2 has two"),
+            (&["psm1=0,0,0", "psm2=0,0,0", "psm3=1,0,0"], "no arm psm3"),
+            (&["psm1=0,0"], "ARM=X,Y,Z"),
+            (&["psm1=0,nan,0"], "[-360, 360]"),
+            (&["25,0,0"], "ARM=X,Y,Z"),
+        ] {
+            let reason = refused(texts);
+            assert!(reason.contains(expected), "{reason}");
+        }
+    }
+
+    fn robot_of(setup: &Setup, views: &[HandsView]) -> String {
+        let robot = setup.robot.clone().moved_in(views);
+        robot
+            .err()
+            .map_or_else(String::new, |error| error.to_string())
+    }
 
     /// In the picture of the endoscope, right is the scene's x, and up is more of its z and y.
     #[test]

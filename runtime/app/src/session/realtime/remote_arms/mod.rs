@@ -29,6 +29,7 @@ use std::sync::Arc;
 use hal::{ARM_NAMES, ArmState, PerArm, Rig};
 use trocar_topics::{ArmReport, Publisher, SceneReport, SceneTopic, Subscriber, TopicNode};
 
+use super::by_hand::ByHand;
 use super::channels::{Local, ObserverChannels, ThreadChannels};
 use super::child::Outside;
 use super::control_thread::{ControlEnd, ControlThread};
@@ -228,6 +229,7 @@ fn run_task<L: ArmLink>(
             events: node.events()?,
             seen: watching.seen,
             local: watching.local,
+            by_hand: watching.by_hand,
             reports: watching.reports,
             frames: frames(node, &names)?,
             logged,
@@ -282,6 +284,7 @@ fn run_robot<L: ArmLink>(
         let Watching {
             seen,
             local,
+            by_hand,
             reports,
             cameras,
             pages,
@@ -290,6 +293,7 @@ fn run_robot<L: ArmLink>(
         seen.signals.allow_torque();
         let supervised = (plan.setup.robot().control.supervision, plan.warn);
         let robot_thread = RobotThread::new(seen, local, reports, cameras, (asked, supervised));
+        let robot_thread = robot_thread.moved_by(by_hand);
         let robot_thread = robot_thread.shown_on(pages.map(|pages| pages.cameras));
         let robot_thread = robot_thread.woken_by(node.events()?);
         Ok(|| robot_thread.run())
@@ -300,6 +304,8 @@ fn run_robot<L: ArmLink>(
 struct Watching {
     seen: ObserverChannels,
     local: Local,
+    /// An operator's hands that move the arms, or may.
+    by_hand: Option<ByHand>,
     /// For a policy process, one an arm.
     reports: Vec<Publisher<ArmReport>>,
     /// Cameras that were waited for, and how many of them the policy looks through: the first.
@@ -360,9 +366,11 @@ impl<L: ArmLink> Begun<'_, L> {
         let pages = show_rig(plan, buses, (names, views.world), port);
         let reports = arm_reports(&node, robot.arms(), child.is_some())?;
         let (local, remote) = wired(plan, source, child.as_mut(), channels.chunk_in, clock);
+        let (by_hand, local, hands) = ByHand::of(plan, local);
         let watching = Watching {
             seen: channels.seen,
             local,
+            by_hand,
             reports,
             cameras: (cameras, looked_at),
             pages,
@@ -372,7 +380,7 @@ impl<L: ArmLink> Begun<'_, L> {
             link,
             say,
             ready,
-            control: ControlThread::new(plan, channels.control, None)?,
+            control: ControlThread::new(plan, channels.control, hands)?,
             measured: channels.measured,
             noticed: channels.noticed,
             clock,

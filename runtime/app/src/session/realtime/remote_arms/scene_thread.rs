@@ -9,6 +9,7 @@ use trocar_topics::{
     TopicNode, Verdict,
 };
 
+use super::super::by_hand::ByHand;
 use super::super::channels::{Local, ObserverChannels};
 use super::super::policy_process::arm_names;
 use super::super::scene_topics::{WorldForPages, show_pages};
@@ -41,6 +42,8 @@ pub(super) struct SceneThread<'a> {
     pub(super) events: Events,
     pub(super) seen: ObserverChannels,
     pub(super) local: Local,
+    /// An operator's hands that move the arms, or may.
+    pub(super) by_hand: Option<ByHand>,
     /// For a policy process, one an arm.
     pub(super) reports: Vec<Publisher<ArmReport>>,
     /// For the log and the pages.
@@ -222,6 +225,8 @@ impl SceneThread<'_> {
                 ended = true;
                 signals.end_run();
             }
+            let running = end.verdict == Verdict::Running && !signals.done();
+            self.move_by_hand(newest.as_ref().filter(|_| running))?;
             // Whoever looks on waits for the policy.
             show_pages(&mut self.world_pages, self.seen.clock, &signals);
             self.keep_alive()?;
@@ -229,6 +234,14 @@ impl SceneThread<'_> {
         }
         self.seen.tell();
         Ok(end)
+    }
+
+    /// Lets an operator's hands move the arms, which were measured as `states` last if they are to.
+    fn move_by_hand(&mut self, states: Option<&PerArm<ArmState>>) -> Result<(), SessionError> {
+        match (&mut self.by_hand, states) {
+            (Some(by_hand), Some(states)) => by_hand.look(states, &self.seen.signals),
+            (None, _) | (_, None) => Ok(()),
+        }
     }
 
     /// A policy step: the arms as they are now belong to the scene that was just shown.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use hal::Rig;
 
+use super::super::by_hand::ByHand;
 use super::super::channels::ThreadChannels;
 use super::super::control_thread::ControlThread;
 use super::super::ended::closed;
@@ -53,10 +54,11 @@ pub(super) fn run_seeing<R: Rig + Send>(
     let port = (channels.listener.as_ref(), &mut channels.control.operator);
     let names = cameras.iter().map(|(name, _)| name.clone()).collect();
     let pages = show_rig(plan, (Vec::new(), 0), (names, None), port);
-    let control_thread = ControlThread::new(plan, channels.control, None)?;
+    let local = Some((source, channels.chunk_in));
+    let (by_hand, local, hands) = ByHand::of(plan, local);
+    let control_thread = ControlThread::new(plan, channels.control, hands)?;
     let signals = Arc::clone(control_thread.signals());
     let rig = ObservedRig::new(rig, channels.measured);
-    let local = Some((source, channels.chunk_in));
     let looked_at = cameras.len();
     let robot_thread = RobotThread::new(
         channels.seen,
@@ -65,6 +67,7 @@ pub(super) fn run_seeing<R: Rig + Send>(
         (cameras, looked_at),
         (asked, (robot.control.supervision, plan.warn)),
     );
+    let robot_thread = robot_thread.moved_by(by_hand);
     let robot_thread = robot_thread.shown_on(pages.map(|pages| pages.cameras));
     let control = move || {
         // Until the drives are taken down.

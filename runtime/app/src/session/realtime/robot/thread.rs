@@ -6,6 +6,7 @@ use std::sync::Arc;
 use hal::{ArmState, TimeNs};
 use trocar_topics::{ArmReport, Events, Publisher};
 
+use super::super::by_hand::ByHand;
 use super::super::channels::{Local, ObserverChannels};
 use super::super::remote_arms::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
 use super::super::shown::CameraPages;
@@ -31,6 +32,8 @@ const KEPT: usize = 512;
 pub(in super::super) struct RobotThread {
     seen: ObserverChannels,
     local: Local,
+    /// An operator's hands that move the arms, or may.
+    by_hand: Option<ByHand>,
     /// For a policy process, one an arm.
     reports: Vec<Publisher<ArmReport>>,
     /// Those that the policy looks through first.
@@ -98,6 +101,7 @@ impl RobotThread {
         Self {
             seen,
             local,
+            by_hand: None,
             reports,
             cameras,
             sight: CameraMonitor::new(names, supervised),
@@ -106,6 +110,11 @@ impl RobotThread {
             events: None,
             pages: None,
         }
+    }
+
+    /// The same thread, which looks at an operator's hands if there are some.
+    pub(in super::super) fn moved_by(self, by_hand: Option<ByHand>) -> Self {
+        Self { by_hand, ..self }
     }
 
     /// The same thread, which a new frame wakes.
@@ -135,6 +144,9 @@ impl RobotThread {
             let now = self.seen.clock.now();
             if let Some(states) = self.seen.measured.take() {
                 self.past.add(states.first.stamp, states);
+                if let Some(by_hand) = self.by_hand.as_mut().filter(|_| !signals.done()) {
+                    by_hand.look(&states, &signals)?;
+                }
             }
             let frame = self.newest_frame()?;
             let begun = first.or_else(|| self.past.begins());

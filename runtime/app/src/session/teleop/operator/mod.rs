@@ -24,8 +24,7 @@ use trocar_tasks::scene::SceneState;
 use trocar_world::rng::Rng;
 
 use super::message::HandsMessage;
-use super::view::rcm_from_view;
-use super::{CHUNK_TICKS, Commanded, Given, Hands, Teleop, TeleopSummary};
+use super::{CHUNK_TICKS, Commanded, Given, Hands, Teleop, TeleopSummary, rcms_from_view};
 use crate::session::{SessionError, Setup};
 pub use figures::{DELAYS_MS, OperatorFigures, TREMORS_MM};
 use hand::{Moment, SimulatedHand};
@@ -60,17 +59,17 @@ impl SimulatedOperator {
     /// One with `figures` before the arms of `setup`, in the episode `seed`.
     pub(crate) fn new(setup: &Setup, figures: &OperatorFigures, seed: u64) -> Self {
         let hands = Arc::new(Hands::new());
-        let arms = setup.task.arms.iter().enumerate().map(|(index, arm)| {
-            let view = rcm_from_view(&setup.task, &arm.scene_from_rcm);
+        let views = rcms_from_view(&setup.task);
+        let arms = views.iter().enumerate().map(|(index, view)| {
             let rng = Rng::stream(seed, &format!("operator's hand {index}"));
-            SimulatedHand::new(&view, figures, rng)
+            SimulatedHand::new(view, figures, rng)
         });
         let [slowest, fastest] = figures.tempo;
         let tempo = Rng::stream(seed, "operator's tempo").range(slowest, fastest);
         Self {
             figures: *figures,
             arms: arms.collect(),
-            teleop: Teleop::new(setup, Arc::clone(&hands), false),
+            teleop: Teleop::new(&views, Arc::clone(&hands), false),
             hands,
             sight: Sight::new(figures.delay_ms),
             plan: Plan {

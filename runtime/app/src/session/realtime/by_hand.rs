@@ -1,0 +1,98 @@
+//! An operator's hands on arms outside of this process: as their policy, or beside one. They are looked at with what the arms measured last, whenever
+//! the thread that observes these has time for it.
+
+use hal::{ArmState, Chunk, PerArm, TICK_NS, TimeNs};
+use rtrb::{Consumer, Producer, RingBuffer};
+use trocar_log::Level;
+
+use super::CHUNK_QUEUE;
+use super::channels::Local;
+use super::signals::Signals;
+use crate::session::plan::Arms;
+use crate::session::source::{ChunkSource, seen_arm};
+use crate::session::teleop::{CHUNK_TICKS, Intervention, Teleop, TeleopCommand};
+use crate::session::{Plan, PolicyChoice, SessionError};
+
+/// Time from one look at the hands to the next, ns.
+const LOOK_NS: u64 = CHUNK_TICKS * TICK_NS;
+
+/// The hands, and what they are to the arms.
+pub(super) struct ByHand {
+    role: Role,
+    /// When the arms were measured with which the hands were last looked at.
+    last: Option<TimeNs>,
+}
+
+enum Role {
+    /// They are the policy.
+    Policy(Box<Teleop>, Producer<PerArm<Chunk>>),
+    /// They may take over from the policy.
+    Beside(Box<Intervention>),
+}
+
+/// Hands of a run, what else answers in this process, and the control thread's end of hands that are beside a policy.
+pub(super) type Answering = (Option<ByHand>, Local, Option<Consumer<TeleopCommand>>);
+
+impl ByHand {
+    /// The hands that move the arms of `plan`, if any may, apart from what else is `local`.
+    pub(super) fn of<S: Arms>(plan: &Plan<S>, local: Local) -> Answering {
+        let new = |role| Self { role, last: None };
+        match local {
+            Some((ChunkSource::Teleop(teleop), chunks)) => {
+                (Some(new(Role::Policy(teleop, chunks))), None, None)
+            }
+            local => match intervention(plan) {
+                Some((beside, from)) => (Some(new(Role::Beside(beside))), local, Some(from)),
+                None => (None, local, None),
+            },
+        }
+    }
+
+    /// Looks at the hands, if it is time, of arms that were measured as `states` last.
+    pub(super) fn look(
+        &mut self,
+        states: &PerArm<ArmState>,
+        signals: &Signals,
+    ) -> Result<(), SessionError> {
+        let now = states.first.stamp;
+        if self.last.is_some_and(|last| now.since(last) < LOOK_NS) {
+            return Ok(());
+        }
+        self.last = Some(now);
+        let arms = states.map(|state| seen_arm(&state));
+        let notices = match &mut self.role {
+            Role::Policy(teleop, chunks) => {
+                // The control thread takes one a tick; a full queue means that it is gone.
+                let _gone = chunks.push(teleop.answer(&arms)?);
+                teleop.take_notices()
+            }
+            Role::Beside(intervention) => {
+                // A world elsewhere has a time limit of its own.
+                let _more_s = intervention.answer(&arms)?;
+                intervention.take_notices()
+            }
+        };
+        for text in notices {
+            signals.tell(now, Level::Info, &text);
+        }
+        Ok(())
+    }
+}
+
+/// An operator who may take over from the policy of `plan`, on a page of its console, if it is known in which axes; and the control thread's end.
+pub(super) fn intervention<S: Arms>(
+    plan: &Plan<S>,
+) -> Option<(Box<Intervention>, Consumer<TeleopCommand>)> {
+    let by_hand = plan.policy == PolicyChoice::Teleop;
+    let console = plan.console.as_ref();
+    let console = console.filter(|console| console.has_page() && !by_hand)?;
+    let views = plan.setup.rcms_from_view();
+    if views.is_empty() {
+        return None;
+    }
+    let limit_s = plan.setup.task().map_or(0.0, |it| it.task.time_limit_s);
+    let (to, from) = RingBuffer::new(CHUNK_QUEUE);
+    let episode = (plan.demonstrates, limit_s);
+    let intervention = Intervention::new(&views, &console.hands(), episode, to);
+    Some((Box::new(intervention), from))
+}
