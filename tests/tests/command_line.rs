@@ -195,6 +195,7 @@ fn there_is_a_man_page_for_each_verb() {
         "eval",
         "record",
         "import-lerobot",
+        "import-log",
         "export-open-h",
         "train",
         "drives",
@@ -221,6 +222,10 @@ fn imports_and_exports_have_examples() {
             "Example: trocar import act FOLDER",
         ),
         (&["import", "lerobot", "--help"], "--mapping my.toml"),
+        (
+            &["import", "log", "--help"],
+            "Example: trocar import log runs/a.mcap runs/b.mcap",
+        ),
         (&["export", "--help"], "Example: trocar export open-h"),
         (&["export", "open-h", "--help"], "--tools"),
     ] {

@@ -194,3 +194,85 @@ fn open_h_goes_out_and_comes_in() {
         assert!(message.contains(expected), "no {expected:?} in: {message}");
     }
 }
+
+/// Runs a needle lift in lockstep with pictures of 64 x 64 into `log`.
+fn lift(folder: &Path, seed: &str, log: &Path) {
+    let shipped = repository().join("config/tasks/needle-lift/scene.toml");
+    let scene = fs::read_to_string(shipped).unwrap();
+    let small = folder.join("small.toml");
+    fs::write(&small, scene.replace("= 512", "= 64")).unwrap();
+    let ran = trocar()
+        .args(["run", "--task", "needle-lift", "--policy", "expert"])
+        .args(["--lockstep", "--seed", seed, "--scene"])
+        .arg(&small)
+        .arg("--log")
+        .arg(log)
+        .output()
+        .unwrap();
+    assert_eq!(ran.status.code(), Some(0), "{}", stderr(&ran));
+}
+
+/// Logs become a dataset that a network learns from.
+#[test]
+fn logs_of_runs_become_a_dataset_to_train_on() {
+    let folder = scratch("import-log");
+    let [first, second] = ["a.mcap", "b.mcap"].map(|name| folder.join(name));
+    lift(&folder, "7", &first);
+    lift(&folder, "8", &second);
+    let (out, result) = (folder.join("demos"), folder.join("import.json"));
+    let import = |logs: &[&Path], more: &[&str]| {
+        let mut command = trocar();
+        command.args(["import", "log"]).args(logs).args(more);
+        command
+            .args(["--task", "Lift the needle", "--out"])
+            .arg(&out);
+        command.output().unwrap()
+    };
+    for (logs, more, expected) in [
+        (&[first.as_path(); 2][..], &[][..], "a.mcap: is given twice"),
+        (
+            &[&first],
+            &["--fps", "50"],
+            "a.mcap: too few frames of endoscope for --fps 50: it has 25.",
+        ),
+        (
+            &[&first],
+            &["--cameras", "wrist"],
+            "a.mcap: has no frames of wrist, only of endoscope",
+        ),
+        (
+            &[&folder.join("small.toml")],
+            &[],
+            "small.toml: not an MCAP file",
+        ),
+    ] {
+        let refused = import(logs, more);
+        let message = stderr(&refused);
+        assert_eq!(refused.status.code(), Some(2), "{message}");
+        assert!(message.contains(expected), "no {expected:?} in: {message}");
+    }
+    let size = ["--resize", "256x256", "--json", result.to_str().unwrap()];
+    let done = import(&[&first, &second], &size);
+    assert_eq!(done.status.code(), Some(0), "{}", stderr(&done));
+    let told = String::from_utf8_lossy(&done.stdout);
+    assert!(told.starts_with("2 episodes, "), "{told}");
+    let found = json(&result);
+    let dataset = Dataset::open(&out).unwrap();
+    assert_eq!(found["frames"], dataset.len());
+    let expected = serde_json::json!({
+        "arms": 1, "cameras": ["endoscope"], "episodes": 2, "frames": dataset.len(), "by_hand": 0, "left_out": 0,
+    });
+    assert_eq!(found, expected);
+    let trained = trocar()
+        .args([
+            "train", "--policy", "act", "--preset", "small", "--steps", "2", "--batch", "2",
+        ])
+        .args(["--threads", "1", "--data"])
+        .arg(&out)
+        .arg("--out")
+        .arg(folder.join("act"))
+        .output()
+        .unwrap();
+    assert_eq!(trained.status.code(), Some(0), "{}", stderr(&trained));
+    assert!(folder.join("act/model.safetensors").exists());
+}

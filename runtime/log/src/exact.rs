@@ -68,6 +68,16 @@ pub(super) fn numbers(target: &TipTarget) -> [Exact; 8] {
     [x, y, z, qx, qy, qz, qw, target.jaw].map(Exact)
 }
 
+/// The target with these [`numbers`].
+pub(super) fn target(numbers: &[Exact; 8]) -> TipTarget {
+    let [x, y, z, qx, qy, qz, qw, jaw] = numbers.map(|Exact(value)| value);
+    TipTarget {
+        position_m: [x, y, z],
+        rotation_xyzw: [qx, qy, qz, qw],
+        jaw,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

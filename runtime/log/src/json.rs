@@ -1,10 +1,10 @@
 //! The log's own messages, in JSON.
 
 use hal::chunk::CHUNK_STEPS_MAX;
-use hal::{ArmError, Chunk, TimeNs, TipTarget};
+use hal::{ArmError, Chunk, TimeNs};
 use serde::{Deserialize, Serialize};
 
-use super::exact::{Exact, numbers};
+use super::exact::{Exact, numbers, target};
 use super::record::TickRecord;
 use trocar_control::OperatorEvent;
 
@@ -48,15 +48,7 @@ impl ChunkMessage {
         if self.targets.len() > CHUNK_STEPS_MAX {
             return None;
         }
-        let targets: Vec<_> = self
-            .targets
-            .iter()
-            .map(|&[x, y, z, qx, qy, qz, qw, jaw]| TipTarget {
-                position_m: [x.0, y.0, z.0],
-                rotation_xyzw: [qx.0, qy.0, qz.0, qw.0],
-                jaw: jaw.0,
-            })
-            .collect();
+        let targets: Vec<_> = self.targets.iter().map(target).collect();
         let mut chunk = Chunk::new(
             TimeNs(self.observed_at_ns),
             self.sequence,

@@ -43,6 +43,7 @@ pub use read::{Loss, RunLog, read_steps};
 pub use record::{ArmRecord, LoggedArm, LoggedTick, TickRecord, TickTiming};
 pub use recorder::{LogFile, Pressure, Recorder, SceneLog, SideLog, TickLog, Writing};
 pub use ring::pre_faulted_queue;
+pub use safety::LoggedReport;
 pub use scene::{CriterionRecord, FlapRecord, SceneRecord, TaskRecord};
 pub use shown::{LoggedItem, read_items};
 pub use step::{LogEnd, Step};

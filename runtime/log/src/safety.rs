@@ -1,11 +1,48 @@
 //! The controller's report in JSON, for people and plots; a replay recomputes it and compares.
 
-use serde::Serialize;
+use hal::TipTarget;
+use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::exact::{Exact, numbers};
+use super::exact::{Exact, numbers, target};
 use super::json::{ErrorMessage, encoded};
-use trocar_control::{Fault, QpOutcome, TickReport};
+use trocar_control::{Fault, OperatingState, QpOutcome, TickReport};
+
+/// What an arm's safety report says that no replay is needed for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoggedReport {
+    /// The operating state after the tick.
+    pub state: OperatingState,
+    /// Where the aggregated chunks wanted the tip to be, in the arm's RCM frame, and the jaw; none of an arm that nobody asked, or that is not
+    /// enabled. Its numbers may be non-finite.
+    pub target: Option<TipTarget>,
+}
+
+impl LoggedReport {
+    /// Reads a report of [`Step::reports`](super::Step::reports); none if it lacks the state or is no report.
+    #[must_use]
+    pub fn read(message: &[u8]) -> Option<Self> {
+        let read: ReadMessage = serde_json::from_slice(message).ok()?;
+        let states = [
+            OperatingState::Disabled,
+            OperatingState::Enabled,
+            OperatingState::Paused,
+            OperatingState::Fault,
+        ];
+        let state = states.into_iter().find(|state| state.name() == read.mode)?;
+        Some(Self {
+            state,
+            target: read.target.as_ref().map(target),
+        })
+    }
+}
+
+/// The part of `/safety` that [`LoggedReport`] reads.
+#[derive(Deserialize)]
+struct ReadMessage {
+    mode: String,
+    target: Option<[Exact; 8]>,
+}
 
 /// `/safety`.
 #[derive(Debug, Serialize)]

@@ -16,9 +16,9 @@ use hal::{
 use nalgebra::Vector3;
 
 use super::{
-    ArmRecord, CriterionRecord, FlapRecord, LogCounts, LogError, LoggedItem, Loss, Pressure,
-    Recorder, RunHeader, RunLog, SceneRecord, TaskRecord, TickRecord, TickTiming, Writing,
-    read_items,
+    ArmRecord, CriterionRecord, FlapRecord, LogCounts, LogError, LoggedItem, LoggedReport, Loss,
+    Pressure, Recorder, RunHeader, RunLog, SceneRecord, TaskRecord, TickRecord, TickTiming,
+    Writing, read_items,
 };
 use hal::PerArm;
 use trocar_control::OperatorEvent;
@@ -226,6 +226,26 @@ fn scenes_and_views_come_back_beside_the_ticks() {
     assert_eq!(scenes, expected.collect::<Vec<_>>());
     assert_eq!(views, 1);
     assert_eq!(SceneRecord::read(b"{\"moment_ms\": 1}"), None);
+}
+
+/// What is read of a report without a replay is what was reported; other texts are none.
+#[test]
+fn a_report_is_read_back() {
+    let (file, _) = write("reports", 30);
+    let log = RunLog::open(&file.0).unwrap();
+    let expected = samples::report();
+    for step in log.steps() {
+        let read = LoggedReport::read(step.reports.first.unwrap()).unwrap();
+        assert_eq!(
+            (read.state, read.target),
+            (expected.mode.state, expected.target)
+        );
+    }
+    for text in ["", "{}", "{\"mode\": \"ASLEEP\"}"] {
+        assert_eq!(LoggedReport::read(text.as_bytes()), None, "{text}");
+    }
+    let read = LoggedReport::read(b"{\"mode\": \"PAUSED\"}").unwrap();
+    assert_eq!(read.target, None);
 }
 
 #[test]

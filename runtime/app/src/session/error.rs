@@ -10,6 +10,8 @@ use trocar_nets::segmenter::SegmentError;
 use trocar_topics::TopicError;
 use trocar_train::TrainError;
 
+use super::import_log::LogImportError;
+
 /// Everything that ends a session early.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
@@ -25,6 +27,9 @@ pub enum SessionError {
     /// The demonstrations can't be imported.
     #[error(transparent)]
     Import(#[from] trocar_data::import::ImportError),
+    /// Run logs can't be imported.
+    #[error(transparent)]
+    ImportLog(Box<LogImportError>),
     /// Training failed.
     #[error(transparent)]
     Train(#[from] TrainError),
@@ -136,6 +141,12 @@ impl From<crate::study::StudyError> for SessionError {
     }
 }
 
+impl From<LogImportError> for SessionError {
+    fn from(error: LogImportError) -> Self {
+        Self::ImportLog(Box::new(error))
+    }
+}
+
 impl From<NiftiError> for SessionError {
     fn from(error: NiftiError) -> Self {
         Self::Anatomy(error.into())
@@ -172,6 +183,7 @@ impl SessionError {
     pub const fn is_bad_input(&self) -> bool {
         match self {
             Self::Log(error) => error.is_bad_input(),
+            Self::ImportLog(error) => error.is_bad_input(),
             Self::Study(error) => error.is_bad_input(),
             Self::Anatomy(error) => error.is_bad_input(),
             Self::Segment(error) => !matches!(error, SegmentError::Torch(_)),

@@ -14,6 +14,7 @@ pub mod episode;
 pub mod error;
 pub mod eval;
 pub mod external;
+pub mod import_log;
 pub mod keep;
 pub mod latency;
 pub mod operator;

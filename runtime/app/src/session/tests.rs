@@ -29,6 +29,7 @@ mod disturbed;
 mod failures;
 mod joined;
 mod latency;
+mod logged;
 mod operator;
 mod resumed;
 mod state;

@@ -118,10 +118,10 @@ pub(crate) enum Verb {
         after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 50 --source simulated-operator --out runs/by-hand\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied\n         trocar record --task needle-lift --episodes 100 --source expert --cameras multi --out runs/demos --resume\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the episodes in progress; what was recorded is a dataset, and the exit code is 1. A second one ends the program at once. The same command with --resume goes on, also after a crash or a full disk, and comes to the same dataset as without the break."
     )]
     Record(RecordArgs),
-    /// Make a LeRobot v3 dataset of demonstrations of others: HDF5 of ACT or robomimic, LeRobot datasets, a dVRK's folders.
+    /// Make a LeRobot v3 dataset of demonstrations of others: HDF5 of ACT or robomimic, LeRobot datasets, a dVRK's folders; or of run logs.
     #[command(
         subcommand,
-        after_help = "Example: trocar import act FOLDER --fps 25 --task \"Lift the needle\" --out runs/demos\n         trocar import lerobot FOLDER --mapping open-h-dvrk --out runs/demos\n\nAmbiguous input is refused: deltas as actions, another number of joints, joints outside of the arm's limits (degrees, a normalised gripper), poses out of its reach, non-finite numbers, frames that are missing."
+        after_help = "Example: trocar import act FOLDER --fps 25 --task \"Lift the needle\" --out runs/demos\n         trocar import lerobot FOLDER --mapping open-h-dvrk --out runs/demos\n         trocar import log runs/a.mcap runs/b.mcap --task \"Lift the needle\" --out runs/demos\n\nAmbiguous input is refused: deltas as actions, another number of joints, joints outside of the arm's limits (degrees, a normalised gripper), poses out of its reach, non-finite numbers, frames that are missing."
     )]
     Import(ImportVerb),
     /// Write a dataset in another's form.

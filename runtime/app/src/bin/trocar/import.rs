@@ -17,6 +17,7 @@ use trocar_data::import::{
 use crate::args::Video;
 use crate::commands::{Done, codec};
 use crate::console;
+use crate::import_log::{ImportLogArgs, import_log};
 
 /// Whose demonstrations they are.
 #[derive(Debug, Subcommand)]
@@ -36,6 +37,11 @@ pub(crate) enum ImportVerb {
         after_help = "Example: trocar import lerobot FOLDER --mapping open-h-dvrk --out runs/demos\n         trocar import lerobot FOLDER --mapping my.toml --task \"Throw a suture\" --split perfect --resize 512x512 --out runs/demos\n         trocar import lerobot FOLDER --mapping dvrk-raw --out runs/demos\n\nA mapping is TOML: which numbers are each arm's pose or joints, jaw and action, in which units, and which feature is which camera; config/mappings/ has those that are built in, to copy from. Joints that are not there are computed from the poses; a pose out of the arm's reach is refused with episode and step. Episodes of the split failure are left out unless asked for."
     )]
     Lerobot(LerobotArgs),
+    /// Logs of runs (`trocar run --log`), of a robot or simulated, each an episode.
+    #[command(
+        after_help = "Example: trocar import log runs/a.mcap runs/b.mcap --task \"Lift the needle\" --out runs/demos\n         trocar run --backend topics --safety limits.toml --policy runs/act --topics cameras --cameras endoscope --log runs/a.mcap\n         trocar import log runs/*.mcap --task \"Lift the needle\" --fps 25 --resize 512x512 --out runs/robot\n         trocar train --policy act --data runs/demos --data runs/robot --out runs/better\n\nA step is a frame of the first camera, on a grid of --fps; of the other cameras the nearest frame; the arms as they were measured at the nearest tick; as action the target of the chunks at that tick. An episode begins with the first target of enabled arms, and ends as the run's end lets them rest. Where an operator took over from a policy, each frame says who drove. Logs that are cut off, holes between frames and non-finite numbers are refused before anything is written."
+    )]
+    Log(ImportLogArgs),
 }
 
 impl ImportVerb {
@@ -44,6 +50,7 @@ impl ImportVerb {
         match self {
             Self::Act(args) | Self::Robomimic(args) => &args.json,
             Self::Lerobot(args) => &args.json,
+            Self::Log(args) => &args.json,
         }
     }
 }
@@ -129,7 +136,7 @@ pub(crate) struct LerobotArgs {
 }
 
 /// `WIDTHxHEIGHT`.
-fn size(text: &str) -> Result<(u32, u32), String> {
+pub(crate) fn size(text: &str) -> Result<(u32, u32), String> {
     let sides = text.split_once('x').and_then(|(width, height)| {
         let side = |text: &str| {
             let side = text.parse::<u32>().ok();
@@ -145,6 +152,7 @@ pub(crate) fn import(verb: &ImportVerb) -> Done {
         ImportVerb::Act(args) => import_hdf5(args, Layout::Act),
         ImportVerb::Robomimic(args) => import_hdf5(args, Layout::Robomimic),
         ImportVerb::Lerobot(args) => import_lerobot(args),
+        ImportVerb::Log(args) => import_log(args),
     }
 }
 

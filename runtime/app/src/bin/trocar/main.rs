@@ -14,6 +14,7 @@ mod environment;
 mod eval;
 mod export;
 mod import;
+mod import_log;
 mod operator;
 mod page;
 mod policy;
