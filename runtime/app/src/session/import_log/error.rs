@@ -66,7 +66,7 @@ pub enum LogImportError {
     },
     /// A camera shows too little for the rate.
     #[error(
-        "{log}: too few frames of {camera} for --fps {fps}: it has {rate_hz:.1} a second, and none for {gap_ms:.0} ms from {from_s:.2} s on (at most {needed_ms:.0} ms); {remedy}"
+        "{log}: too few frames of {camera} for --fps {fps}: it has {rate_hz:.1} a second, and none for {gap_ms:.0} ms from {from_s:.2} s on (at most {needed_ms:.0} ms, and one step of 20 without its own); {remedy}"
     )]
     TooFew {
         /// The log.

@@ -13,6 +13,9 @@ const SECOND_NS: u64 = 1_000_000_000;
 /// two seconds ends a run.
 const EDGE_NS: u64 = 3 * SECOND_NS;
 
+/// Of this many steps one may show the frame of its neighbour again: a camera loses frames now and then, and its clock drifts.
+const STEPS_A_REPEAT: usize = 20;
+
 /// What a step sees.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct SeenStep {
@@ -55,7 +58,7 @@ impl<'a> Grid<'a> {
         let Some(start) = rest.peek().map(|frame| frame.at) else {
             return grid;
         };
-        let mut best: Option<LoggedFrame> = None;
+        let (mut best, mut chosen): (Option<LoggedFrame>, _) = (None, None);
         let mut points = Vec::new();
         let (mut before, mut unbroken) = (start, true);
         let rest = rest.take_while(|frame| {
@@ -66,8 +69,10 @@ impl<'a> Grid<'a> {
         for frame in rest {
             let point = grid.point(start, frame.at);
             while points.len() < point {
-                let found = best.take().ok_or(0);
-                points.push(found.and_then(|frame| grid.seen(frame, others)));
+                let missed = || grid.neighbour(start, points.len(), [chosen, Some(*frame)]);
+                let found = best.take().or_else(missed);
+                chosen = found.or(chosen);
+                points.push(found.ok_or(0).and_then(|frame| grid.seen(frame, others)));
             }
             let distance = |frame: &LoggedFrame| grid.off(start, frame.at, point).unsigned_abs();
             if best
@@ -93,6 +98,18 @@ impl<'a> Grid<'a> {
     fn off(&self, start: TimeNs, at: TimeNs, point: usize) -> i128 {
         let since = i128::from(at.since(start)) * i128::from(self.fps);
         since - point as i128 * i128::from(SECOND_NS)
+    }
+
+    /// For the grid's `point`, to which no frame is nearest, the nearer one of its neighbours' `frames`, at most a step away.
+    fn neighbour(
+        &self,
+        start: TimeNs,
+        point: usize,
+        frames: [Option<LoggedFrame>; 2],
+    ) -> Option<LoggedFrame> {
+        let off = |frame: &LoggedFrame| self.off(start, frame.at, point).unsigned_abs();
+        let nearest = frames.into_iter().flatten().min_by_key(off);
+        nearest.filter(|frame| off(frame) <= u128::from(SECOND_NS))
     }
 
     /// What a step sees whose frame of the first camera is `frame`; of the `others` a frame may be a step away.
@@ -129,7 +146,7 @@ impl<'a> Grid<'a> {
     /// The steps of an episode of `log` that ends at `end`.
     ///
     /// # Errors
-    /// [`LogImportError::TooFew`] if a point has no frame near it.
+    /// [`LogImportError::TooFew`] if a point has no frame near it, or too many have that of their neighbour.
     pub(super) fn whole(&self, log: &Path, end: TimeNs) -> Result<Vec<SeenStep>, LogImportError> {
         let Some(culprit) = self.hole(end) else {
             return Ok(self.until(end).iter().flatten().cloned().collect());
@@ -151,6 +168,11 @@ impl<'a> Grid<'a> {
         let steps = || points.iter().flatten();
         if let Some(culprit) = points.iter().find_map(|point| point.as_ref().err()) {
             return Some(*culprit);
+        }
+        let repeats = steps().zip(steps().skip(1));
+        let repeats = repeats.filter(|(one, next)| one.at == next.at).count();
+        if repeats * STEPS_A_REPEAT > points.len() {
+            return Some(0);
         }
         let ends = steps().next().zip(steps().next_back());
         let reaches = ends.is_some_and(|(first, last)| {
@@ -202,8 +224,8 @@ impl<'a> Grid<'a> {
             rate_hz: self.rate_hz(culprit, end),
             gap_ms: 1e3 * TimeNs(gap_ns).seconds(),
             from_s: from.seconds(),
-            // Of another camera than the first a frame may be a step away, on either side.
-            needed_ms: if culprit == 0 { 1e3 } else { 2e3 } / f64::from(self.fps),
+            // A frame may be a step away, on either side.
+            needed_ms: 2e3 / f64::from(self.fps),
             remedy,
         }
     }

@@ -109,6 +109,42 @@ fn each_step_has_the_nearest_frames_and_tick() {
     assert!((24..=26).contains(&hand), "{hand}");
 }
 
+/// Of a camera that lost one frame the step shows the one before or after; one whose clock drifts by 1 % loses none.
+#[test]
+fn lost_frames_and_drift_are_borne() {
+    for (name, period_us, lost) in [("lost", 40_000, 700_000_000), ("drift", 40_400, 0)] {
+        let folder = Scratch::folder(&format!("import-log-{name}"));
+        let stamps = (0..100).map(|frame| frame * period_us * 1000);
+        let stamps: Vec<u64> = stamps.filter(|stamp| *stamp != lost).collect();
+        let mut endoscope = Feed::new("endoscope", Vec::new());
+        endoscope.stamps_ns = stamps.clone();
+        let made = HandMade {
+            ticks: 4000,
+            cameras: vec![endoscope],
+            ..HandMade::default()
+        };
+        let log = made.write(&folder.join("a.mcap"));
+        let options = options(&folder, &[&log]);
+        import_logs(&options, &mut |_, _| {}).unwrap();
+        let dataset = Dataset::open(&options.out).unwrap();
+        let start = *stamps.iter().find(|stamp| **stamp >= 300_000_000).unwrap();
+        for frame in 0..dataset.len() {
+            let seen = dataset.image_rgb(frame, 0).unwrap().get_pixel(3, 3).0;
+            let near = stamps.iter().enumerate().filter(|(_, stamp)| {
+                let point = start + 40_000_000 * u64::try_from(frame).unwrap();
+                stamp.abs_diff(point) <= 40_000_000
+            });
+            let mut near = near.map(|(place, _)| colour_of(0, place));
+            assert!(near.any(|colour| colour == seen), "{name} {frame}");
+        }
+        assert!(
+            (84..=88).contains(&dataset.len()),
+            "{name} {}",
+            dataset.len()
+        );
+    }
+}
+
 fn assert_action(dataset: &Dataset, frame: usize, arm: usize, expected: &TipTarget) {
     let [x, y, z, i, j, k, w] = expected.pose_numbers();
     #[expect(clippy::cast_possible_truncation, reason = "actions are f32")]
