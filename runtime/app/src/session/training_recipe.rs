@@ -27,6 +27,7 @@ pub(super) fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
         ..
     } = saver;
     let spec = dataset.spec();
+    let step_ns = 1_000_000_000 / u64::from(spec.fps.max(1));
     let cameras = spec
         .cameras
         .iter()
@@ -40,8 +41,8 @@ pub(super) fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
         format: RECIPE_FORMAT,
         arms: spec.arms,
         action_representation: REPRESENTATION.to_owned(),
-        step_ns: STEP_NS,
-        query_every_steps: made.query_every_steps,
+        step_ns,
+        query_every_steps: policy_steps(made.query_every_steps, step_ns),
         aggregation: RecommendedAggregation {
             mode: AggregationName::Newest,
             decay: 0.01,
@@ -58,5 +59,23 @@ pub(super) fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
             "seconds": saver.stopwatch.seconds(),
             "final": trained.curve().last().map(|row| serde_json::json!({"loss": row.loss, "l1": row.l1, "kl": row.kl})),
         }),
+    }
+}
+
+/// So many of the dataset's steps, of `step_ns` each, in the policy steps that a run asks its policy by: at least one, and no more than they last.
+fn policy_steps(steps: u32, step_ns: u64) -> u32 {
+    let whole = u64::from(steps) * step_ns / STEP_NS;
+    u32::try_from(whole.max(1)).unwrap_or(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::policy_steps;
+
+    #[test]
+    fn a_policy_is_asked_as_often_whatever_rate_it_was_trained_at() {
+        let steps = |fps: u64| policy_steps(25, 1_000_000_000 / fps);
+        assert_eq!([25, 50, 5, 30].map(steps), [25, 12, 125, 20]);
+        assert_eq!(policy_steps(1, 20_000_000), 1);
     }
 }

@@ -345,6 +345,7 @@ pub(crate) struct RunArgs {
         long,
         value_name = "ARM=X,Y,Z",
         requires = "safety",
+        conflicts_with = "task",
         allow_hyphen_values = true
     )]
     pub(crate) hands_view: Vec<HandsView>,

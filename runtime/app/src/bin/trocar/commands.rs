@@ -254,7 +254,10 @@ fn run_task(
     let setup = Setup::load_with(task, config, &chosen.policy, &scene, changes)?;
     let mut setup = args.headset.eyes(setup)?;
     warn_of_transfer(&setup);
-    setup.task.time_limit_s *= chosen.policy.time_factor();
+    // A world elsewhere has its own time limit.
+    if remote.is_none() {
+        setup.task.time_limit_s *= chosen.policy.time_factor();
+    }
     let backend = match remote {
         Some(RemoteArms::Can(can, text)) => {
             setup.robot.texts.can = Some(text);
@@ -294,6 +297,11 @@ fn run_robot(
     changes.only(&files)?;
     let mut robot = Robot::load(safety, args.config.as_deref(), &chosen.policy, &changes)?;
     if !args.hands_view.is_empty() {
+        if chosen.page.is_none() {
+            let reason =
+                "--hands-view needs --console, or --hands: there are no hands to move the arms";
+            return Err(SessionError::BadArgument(reason.to_owned()));
+        }
         robot = robot.moved_in(&args.hands_view)?;
     }
     let cameras = args.cameras.iter().flat_map(|names| names.split(','));

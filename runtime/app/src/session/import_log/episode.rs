@@ -26,7 +26,7 @@ pub(super) struct LoggedEpisode {
 }
 
 impl LoggedEpisode {
-    /// Reads `log`, of which the cameras called `names` are wanted, or all; nothing of a run that failed, unless `options` take it.
+    /// Reads `log`, of which the cameras called `names` are wanted, or all; nothing of a run that failed or had a fault, unless `options` take it.
     ///
     /// # Errors
     /// See [`super::import_logs`].
@@ -49,7 +49,8 @@ impl LoggedEpisode {
             ticks.take(step)
         })?;
         let outcome = whole(log, end)?;
-        if !header.task.is_empty() && outcome.success != Some(true) && !options.failures {
+        let undone = !header.task.is_empty() && outcome.success != Some(true);
+        if (undone || ticks.faulted) && !options.failures {
             return Ok(None);
         }
         let (grid, rows, ended) = ticks.finish()?;

@@ -19,7 +19,7 @@ const STEPS_A_REPEAT: usize = 20;
 /// What a step sees.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct SeenStep {
-    /// When: the stamp of the first camera's frame.
+    /// When: the stamp of the first camera's frame, or of one that was lost the grid's point.
     pub(super) at: TimeNs,
     /// Of each camera the place of its frame among those of the file.
     pub(super) places: Vec<usize>,
@@ -51,7 +51,7 @@ impl<'a> Grid<'a> {
         let from = first.frames.partition_point(|frame| frame.at < begin);
         let mut rest = first.frames[from..].iter().peekable();
         while let Some(frame) = rest.peek()
-            && grid.seen(**frame, others).is_err()
+            && grid.seen(**frame, frame.at, others).is_err()
         {
             rest.next();
         }
@@ -69,10 +69,12 @@ impl<'a> Grid<'a> {
         for frame in rest {
             let point = grid.point(start, frame.at);
             while points.len() < point {
+                let own = best.take().map(|frame| (frame, frame.at));
                 let missed = || grid.neighbour(start, points.len(), [chosen, Some(*frame)]);
-                let found = best.take().or_else(missed);
-                chosen = found.or(chosen);
-                points.push(found.ok_or(0).and_then(|frame| grid.seen(frame, others)));
+                let found = own.or_else(missed);
+                chosen = found.map(|(frame, _)| frame).or(chosen);
+                let found = found.ok_or(0);
+                points.push(found.and_then(|(frame, at)| grid.seen(frame, at, others)));
             }
             let distance = |frame: &LoggedFrame| grid.off(start, frame.at, point).unsigned_abs();
             if best
@@ -82,7 +84,7 @@ impl<'a> Grid<'a> {
                 best = Some(*frame);
             }
         }
-        points.extend(best.map(|frame| grid.seen(frame, others)));
+        points.extend(best.map(|frame| grid.seen(frame, frame.at, others)));
         grid.points = points;
         grid
     }
@@ -100,28 +102,35 @@ impl<'a> Grid<'a> {
         since - point as i128 * i128::from(SECOND_NS)
     }
 
-    /// For the grid's `point`, to which no frame is nearest, the nearer one of its neighbours' `frames`, at most a step away.
+    /// For the grid's `point`, to which no frame is nearest, the nearer one of its neighbours' `frames`, at most a step away; and the point's instant.
     fn neighbour(
         &self,
         start: TimeNs,
         point: usize,
         frames: [Option<LoggedFrame>; 2],
-    ) -> Option<LoggedFrame> {
+    ) -> Option<(LoggedFrame, TimeNs)> {
         let off = |frame: &LoggedFrame| self.off(start, frame.at, point).unsigned_abs();
         let nearest = frames.into_iter().flatten().min_by_key(off);
-        nearest.filter(|frame| off(frame) <= u128::from(SECOND_NS))
+        let near = nearest.filter(|frame| off(frame) <= u128::from(SECOND_NS))?;
+        let since_ns = point as u128 * u128::from(SECOND_NS) / u128::from(self.fps);
+        let at = start.plus_ns(u64::try_from(since_ns).ok()?);
+        Some((near, at))
     }
 
-    /// What a step sees whose frame of the first camera is `frame`; of the `others` a frame may be a step away.
-    fn seen(&self, frame: LoggedFrame, others: &[LoggedCamera]) -> Result<SeenStep, usize> {
+    /// What a step sees `at` that instant, whose frame of the first camera is `frame`; of the `others` a frame may be a step away.
+    fn seen(
+        &self,
+        frame: LoggedFrame,
+        at: TimeNs,
+        others: &[LoggedCamera],
+    ) -> Result<SeenStep, usize> {
         let mut places = Vec::with_capacity(1 + others.len());
         places.push(frame.place);
         for (index, camera) in others.iter().enumerate() {
-            let near = camera.nearest(frame.at);
-            let near = near.filter(|near| self.is_within_steps(frame.at, near.at, 2));
+            let near = camera.nearest(at);
+            let near = near.filter(|near| self.is_within_steps(at, near.at, 2));
             places.push(near.ok_or(index + 1)?.place);
         }
-        let at = frame.at;
         Ok(SeenStep { at, places })
     }
 
@@ -170,7 +179,9 @@ impl<'a> Grid<'a> {
             return Some(*culprit);
         }
         let repeats = steps().zip(steps().skip(1));
-        let repeats = repeats.filter(|(one, next)| one.at == next.at).count();
+        let repeats = repeats
+            .filter(|(one, next)| one.places.first() == next.places.first())
+            .count();
         if repeats * STEPS_A_REPEAT > points.len() {
             return Some(0);
         }

@@ -111,7 +111,7 @@ fn each_step_has_the_nearest_frames_and_tick() {
 
 /// Of a camera that lost one frame the step shows the one before or after; one whose clock drifts by 1 % loses none.
 #[test]
-fn lost_frames_and_drift_are_borne() {
+fn lost_frames_and_drift_are_tolerated() {
     for (name, period_us, lost) in [("lost", 40_000, 700_000_000), ("drift", 40_400, 0)] {
         let folder = Scratch::folder(&format!("import-log-{name}"));
         let stamps = (0..100).map(|frame| frame * period_us * 1000);
@@ -138,7 +138,7 @@ fn lost_frames_and_drift_are_borne() {
             assert!(near.any(|colour| colour == seen), "{name} {frame}");
         }
         assert!(
-            (84..=88).contains(&dataset.len()),
+            (79..=81).contains(&dataset.len()),
             "{name} {}",
             dataset.len()
         );

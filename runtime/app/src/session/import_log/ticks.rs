@@ -30,6 +30,14 @@ struct Moment {
     by_hand: bool,
 }
 
+impl Moment {
+    /// When the arms were as they were measured: of arms elsewhere that may be before the tick.
+    fn at(&self) -> TimeNs {
+        let measured = self.tick.arms.first.measured.as_ref();
+        measured.map_or(self.tick.now, |state| state.stamp)
+    }
+}
+
 /// A log under way.
 pub(super) struct Ticks<'a> {
     log: &'a Path,
@@ -42,6 +50,8 @@ pub(super) struct Ticks<'a> {
     /// The grid's next point.
     point: usize,
     rows: Vec<Row>,
+    /// Whether an arm had a fault.
+    pub(super) faulted: bool,
     /// The last tick in which all arms were ENABLED.
     end: TimeNs,
     /// The first step that has no row, and why.
@@ -60,6 +70,7 @@ impl<'a> Ticks<'a> {
             grid: None,
             point: 0,
             rows: Vec::new(),
+            faulted: false,
             end: TimeNs(0),
             failure: None,
         }
@@ -71,6 +82,10 @@ impl<'a> Ticks<'a> {
     /// [`LogImportError::Missing`] for one without a report.
     pub(super) fn take(&mut self, step: &Step<'_>) -> Result<(), LogImportError> {
         let tick = *step.tick;
+        if step.dropped_before > 0 && self.failure.is_none() {
+            let lost = self.missing("ticks, which the logger dropped,", tick.now);
+            self.failure = Some((tick.now, lost));
+        }
         let reports = step.reports.iter().copied();
         let reports = reports.map(|report| report.and_then(LoggedReport::read));
         let reports: Option<Vec<LoggedReport>> = reports.collect();
@@ -85,6 +100,9 @@ impl<'a> Ticks<'a> {
         let enabled = reports
             .iter()
             .all(|report| report.state == OperatingState::Enabled);
+        self.faulted |= reports
+            .iter()
+            .any(|report| report.state == OperatingState::Fault);
         let asked = reports.iter().any(|report| report.target.is_some());
         if self.grid.is_none() && enabled && asked {
             self.grid = Some(Grid::lay(self.cameras, self.fps, tick.now));
@@ -112,12 +130,12 @@ impl<'a> Ticks<'a> {
                 self.point += 1;
                 continue;
             };
-            if step.at > now.tick.now {
+            if step.at > now.at() {
                 return;
             }
-            let apart = |moment: &&Moment| moment.tick.now.0.abs_diff(step.at.0);
+            let apart = |moment: &&Moment| moment.at().0.abs_diff(step.at.0);
             let near = self.before.iter().chain([now]).min_by_key(apart);
-            let near = near.filter(|near| grid.is_within_steps(near.tick.now, step.at, 1));
+            let near = near.filter(|near| grid.is_within_steps(near.at(), step.at, 1));
             let row = match near {
                 Some(near) => self.row(near),
                 None => Err(self.missing("ticks, which the logger dropped,", step.at)),

@@ -30,6 +30,16 @@ enum Role {
     Beside(Box<Intervention>),
 }
 
+impl Role {
+    /// Releases every clutch.
+    fn release(&self) {
+        match self {
+            Self::Policy(teleop, _) => teleop.release(),
+            Self::Beside(intervention) => intervention.release(),
+        }
+    }
+}
+
 /// Hands of a run, what else answers in this process, and the control thread's end of hands that are beside a policy.
 pub(super) type Answering = (Option<ByHand>, Local, Option<Consumer<TeleopCommand>>);
 
@@ -48,18 +58,26 @@ impl ByHand {
         }
     }
 
-    /// Looks at the hands, if it is time, of arms that were measured as `states` last.
+    /// Looks at the hands, if it is time, of arms that were measured as `states` last; it is `now`. A clutch that was taken before the first look has
+    /// to be taken anew: the arms were not enabled then.
     pub(super) fn look(
         &mut self,
         states: &PerArm<ArmState>,
+        now: TimeNs,
         signals: &Signals,
     ) -> Result<(), SessionError> {
-        let now = states.first.stamp;
         if self.last.is_some_and(|last| now.since(last) < LOOK_NS) {
             return Ok(());
         }
-        self.last = Some(now);
-        let arms = states.map(|state| seen_arm(&state));
+        if self.last.replace(now).is_none() {
+            self.role.release();
+        }
+        // Arms elsewhere may have a clock that is ahead; a chunk of the future is refused.
+        let seen_at = |state: ArmState| ArmState {
+            stamp: TimeNs(state.stamp.0.min(now.0)),
+            ..state
+        };
+        let arms = states.map(|state| seen_arm(&seen_at(state)));
         let notices = match &mut self.role {
             Role::Policy(teleop, chunks) => {
                 // The control thread takes one a tick; a full queue means that it is gone.

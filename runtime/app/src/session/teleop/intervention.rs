@@ -60,6 +60,11 @@ impl Intervention {
         }
     }
 
+    /// Releases every clutch: it has to be taken anew.
+    pub(crate) fn release(&self) {
+        self.teleop.release();
+    }
+
     /// Looks at the hands, with the arms measured as `seen`, and tells the control thread what they want. Gives the time that the episode
     /// may take longer since they drive, s.
     ///

@@ -16,7 +16,7 @@
 //! those are, until the operator hands back (`Intervention`). Whatever is lost meanwhile, the arms hold: the policy drives again
 //! when a person says so, and with chunks alone that it makes of what it sees from then on.
 //!
-//! **Frame.** A hand moves in the axes of the endoscope's picture: x to the right, y up, z towards the viewer (those of WebXR, whose
+//! **Frame.** A hand moves in the axes of the endoscope's picture, of a robot without a task in those that were configured: x to the right, y up, z towards the viewer (those of WebXR, whose
 //! viewer looks along -z). What one sees moves and turns the way the hand does.
 
 mod alignment;

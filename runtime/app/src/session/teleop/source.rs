@@ -97,6 +97,13 @@ impl Teleop {
         core::mem::take(&mut self.notices)
     }
 
+    /// Releases every clutch: it has to be taken anew.
+    pub(crate) fn release(&self) {
+        for arm in 0..self.arms.len() {
+            self.hands.release_arm(arm, ReleaseCause::NotEnabled);
+        }
+    }
+
     /// The hands drive nothing: when one takes its clutch, its arm goes on from where it is commanded to be then.
     pub(super) fn stand_by(&mut self) {
         for arm in &mut self.arms {
@@ -167,7 +174,7 @@ impl Teleop {
         }
         let chunks = targets
             .iter()
-            .map(|target| Chunk::new(now, self.sequence, STEP_NS, &[*target; 2]));
+            .map(|target| Chunk::new(now, self.sequence, STEP_NS, &[*target; 3]));
         PerArm::collect(chunks)
             .ok_or_else(|| SessionError::BadArgument("policy teleop: there is no arm".to_owned()))
     }

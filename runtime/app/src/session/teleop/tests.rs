@@ -131,7 +131,7 @@ impl Bench {
         self.command();
         let look = self.hands.look_at(self.now);
         let chunk = self.teleop.answer_at(&self.seen(), &look).unwrap().first;
-        assert_eq!(chunk.valid_targets().len(), 2);
+        assert_eq!(chunk.valid_targets().len(), 3);
         assert!(chunk.step_ns >= TICK_NS);
         chunk.valid_targets()[0]
     }

@@ -211,6 +211,9 @@ fn unusable_numbers_are_refused() {
         if record.tick >= 600 {
             record.tick += 100;
             record.now = hal::TimeNs::from_tick(record.tick);
+            if let Ok(state) = &mut record.arms.first.measured {
+                state.stamp = record.now;
+            }
         }
     });
     check(

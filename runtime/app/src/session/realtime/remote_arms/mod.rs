@@ -308,7 +308,7 @@ struct Watching {
     by_hand: Option<ByHand>,
     /// For a policy process, one an arm.
     reports: Vec<Publisher<ArmReport>>,
-    /// Cameras that were waited for, and how many of them the policy looks through: the first.
+    /// Cameras that were waited for, and how many of them the policy, or an operator, looks through: the first.
     cameras: (Vec<Camera>, usize),
     /// What pages are shown, if there is a console.
     pages: Option<RigPages>,
@@ -341,12 +341,15 @@ impl<L: ArmLink> Begun<'_, L> {
         };
         let policy = Opened::open(plan, Some(&outside))?;
         let mut wanted = policy.cameras();
-        let looked_at = wanted.len();
+        let policys = wanted.len();
         for name in views.asked {
             if wanted.iter().all(|(known, _)| known != name) {
                 wanted.push((name.clone(), None));
             }
         }
+        // An operator looks through all of them.
+        let by_hand = plan.console.is_some() && !plan.setup.rcms_from_view().is_empty();
+        let looked_at = if by_hand { wanted.len() } else { policys };
         let publisher = format!("`{} --cameras NAME` of a simulated world", link.host());
         let topics = (link.topics(), publisher.as_str());
         let mut cameras = awaited::cameras(&node, &wanted, clock, topics, (say, &mut || Ok(())))?;

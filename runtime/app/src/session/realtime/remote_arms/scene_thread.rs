@@ -239,7 +239,9 @@ impl SceneThread<'_> {
     /// Lets an operator's hands move the arms, which were measured as `states` last if they are to.
     fn move_by_hand(&mut self, states: Option<&PerArm<ArmState>>) -> Result<(), SessionError> {
         match (&mut self.by_hand, states) {
-            (Some(by_hand), Some(states)) => by_hand.look(states, &self.seen.signals),
+            (Some(by_hand), Some(states)) => {
+                by_hand.look(states, self.seen.clock.now(), &self.seen.signals)
+            }
             (None, _) | (_, None) => Ok(()),
         }
     }

@@ -145,7 +145,7 @@ impl RobotThread {
             if let Some(states) = self.seen.measured.take() {
                 self.past.add(states.first.stamp, states);
                 if let Some(by_hand) = self.by_hand.as_mut().filter(|_| !signals.done()) {
-                    by_hand.look(&states, &signals)?;
+                    by_hand.look(&states, now, &signals)?;
                 }
             }
             let frame = self.newest_frame()?;
