@@ -114,3 +114,55 @@ pub(super) fn intervention<S: Arms>(
     let intervention = Intervention::new(&views, &console.hands(), episode, to);
     Some((Box::new(intervention), from))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use hal::{JointVector, Pose};
+    use serde_json::{Value, json};
+
+    use super::*;
+    use crate::session::teleop::Hands;
+
+    fn engaged(hands: &Hands) -> bool {
+        let status: Value = serde_json::to_value(hands.status()).unwrap();
+        status["arms"][0]["engaged"] == true
+    }
+
+    fn say(hands: &Hands, t_ms: u64, clutch: bool) {
+        let hand = json!({ "clutch": clutch, "at": [0, 0, 0], "turn": [0, 0, 0, 1], "jaw": 0.5 });
+        let message = json!({ "t": t_ms, "arms": [hand] });
+        let message = serde_json::from_value(message).unwrap();
+        hands.hear(1, &message).unwrap();
+    }
+
+    /// Whoever holds a clutch while arms come up moves none of them before it is taken anew; chunks are of no later time than the look.
+    #[test]
+    fn a_clutch_is_taken_after_the_first_look() {
+        let hands = Arc::new(Hands::new());
+        let teleop = Teleop::new(&[Pose::identity()], Arc::clone(&hands), false);
+        let (to, mut chunks) = RingBuffer::new(CHUNK_QUEUE);
+        let role = Role::Policy(Box::new(teleop), to);
+        let mut by_hand = ByHand { role, last: None };
+        let signals = Signals::of(None);
+        // Measured by a clock that is 3 ms ahead.
+        let mut look = |now: TimeNs| {
+            let state = ArmState::at_rest(now.plus_ns(3_000_000), JointVector::zeros(), 0.4);
+            by_hand.look(&PerArm::one(state), now, &signals).unwrap();
+            chunks.pop().map(|chunks| chunks.first.observed_at)
+        };
+        say(&hands, 1, false);
+        say(&hands, 2, true);
+        assert!(engaged(&hands));
+        assert_eq!(look(TimeNs(LOOK_NS)), Ok(TimeNs(LOOK_NS)));
+        assert!(!engaged(&hands));
+        say(&hands, 3, true);
+        assert!(!engaged(&hands), "it is held as before");
+        say(&hands, 4, false);
+        say(&hands, 5, true);
+        assert!(engaged(&hands));
+        assert!(look(TimeNs(2 * LOOK_NS - 1)).is_err(), "too soon");
+        assert_eq!(look(TimeNs(2 * LOOK_NS)), Ok(TimeNs(2 * LOOK_NS)));
+    }
+}
