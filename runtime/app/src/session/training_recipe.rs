@@ -62,10 +62,10 @@ pub(super) fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
     }
 }
 
-/// So many of the dataset's steps, of `step_ns` each, in the policy steps that a run asks its policy by: at least one, and no more than they last.
+/// So many of the dataset's steps, of `step_ns` each, in the policy steps that a run asks its policy by: no more than they last, and no more of them.
 fn policy_steps(steps: u32, step_ns: u64) -> u32 {
     let whole = u64::from(steps) * step_ns / STEP_NS;
-    u32::try_from(whole.max(1)).unwrap_or(u32::MAX)
+    u32::try_from(whole.max(1)).map_or(steps, |whole| whole.min(steps))
 }
 
 #[cfg(test)]
@@ -73,9 +73,9 @@ mod tests {
     use super::policy_steps;
 
     #[test]
-    fn a_policy_is_asked_as_often_whatever_rate_it_was_trained_at() {
+    fn a_policy_is_asked_within_what_it_answers() {
         let steps = |fps: u64| policy_steps(25, 1_000_000_000 / fps);
-        assert_eq!([25, 50, 5, 30].map(steps), [25, 12, 125, 20]);
+        assert_eq!([25, 50, 5, 30].map(steps), [25, 12, 25, 20]);
         assert_eq!(policy_steps(1, 20_000_000), 1);
     }
 }

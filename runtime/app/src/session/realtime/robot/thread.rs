@@ -16,7 +16,7 @@ use super::sight::{CameraMonitor, Rules};
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
-use crate::session::source::{Query, STEP_NS};
+use crate::session::source::{ChunkSource, Query, STEP_NS};
 use hal::PerArm;
 
 /// Polling period for the measured arms, which wake nobody, ns; a frame does.
@@ -152,11 +152,7 @@ impl RobotThread {
             let begun = first.or_else(|| self.past.begins());
             if let Some(begun) = begun {
                 first = Some(begun);
-                let at = if self.sight.is_blind() {
-                    Some(now)
-                } else {
-                    frame
-                };
+                let at = if self.is_blind() { Some(now) } else { frame };
                 let step = at
                     .filter(|at| *at >= begun)
                     .map(|at| at.since(begun) / STEP_NS);
@@ -199,6 +195,13 @@ impl RobotThread {
         }
         self.seen.tell();
         Ok(end)
+    }
+
+    /// Whether the policy goes by no camera's frames; those of an operator beside it are none of its.
+    fn is_blind(&self) -> bool {
+        let sees = |(source, _): &(ChunkSource, _)| !source.cameras().is_empty();
+        let beside = self.by_hand.is_some() && !self.local.as_ref().is_none_or(sees);
+        beside || self.sight.is_blind()
     }
 
     /// Keeps what cameras show in the log; when the newest frame of the policy's first camera was taken, if there is a new one.
