@@ -127,7 +127,8 @@ fn joints_of(recording: &Recording, name: &str) -> Result<Numbers, ImportError> 
 }
 
 /// What LeRobot's datasets call the robot with so many patient-side manipulators.
-pub(super) const fn robot_type(arms: usize) -> &'static str {
+#[must_use]
+pub const fn robot_type(arms: usize) -> &'static str {
     match arms {
         1 => "dvrk_psm",
         _ => "bi_dvrk_psm",

@@ -34,6 +34,7 @@ mod source;
 #[cfg(test)]
 mod tests;
 
+pub use arms::robot_type;
 pub use chain::read_chain;
 pub use error::ImportError;
 pub use mapped::{

@@ -26,6 +26,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use serde_json::json;
 use trocar_data::dataset::{CameraSpec, DatasetSpec, DatasetWriter, VideoCodec};
+use trocar_data::import::robot_type;
 
 use super::SessionError;
 use episode::LoggedEpisode;
@@ -166,8 +167,3 @@ fn described(episodes: &[LoggedEpisode]) -> serde_json::Value {
 
 /// Where the demonstrations come from, as the dataset says it.
 const SOURCE: &str = "log";
-
-/// The robot's name: LeRobot puts `bi_` before that of an arm of which there are two.
-const fn robot_type(arms: usize) -> &'static str {
-    if arms == 1 { "dvrk_psm" } else { "bi_dvrk_psm" }
-}
