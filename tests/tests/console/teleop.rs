@@ -12,12 +12,15 @@ use crate::run::{GROWTH_MB, Served, mutated_messages, verified};
 /// Mutated messages that are sent at least.
 const MUTATED: usize = 3000;
 
+/// An episode as long as a million of them take.
+const MINUTES: &str = "scene.episode.time_limit_s=300";
+
 /// A run that a page moves by hand, in slow motion: machines that build beside it must not make hands late.
 fn by_hand(test: &str, task: &str) -> Served {
     let log = tests::scratch(&format!("{test}-log")).join("run.mcap");
     let words = ["run", "--task", task, "--policy", "teleop", "--seed", "7"];
-    let log = ["--log", log.to_str().unwrap()];
-    Served::start_slow(test, &[&words[..], &log].concat(), 4)
+    let more = ["--set", MINUTES, "--log", log.to_str().unwrap()];
+    Served::start_slow(test, &[&words[..], &more].concat(), 4)
 }
 
 /// A page with its hand, in the axes of the picture.
