@@ -231,6 +231,11 @@ fn logs_of_runs_become_a_dataset_to_train_on() {
     for (logs, more, expected) in [
         (&[first.as_path(); 2][..], &[][..], "a.mcap: is given twice"),
         (
+            &[&first, &folder.join("./a.mcap")],
+            &[],
+            "a.mcap: is given twice",
+        ),
+        (
             &[&first],
             &["--fps", "50"],
             "a.mcap: too few frames of endoscope for --fps 50: it has 25.",

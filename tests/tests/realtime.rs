@@ -296,6 +296,15 @@ fn a_simulated_run_keeps_its_log_unasked() {
     let log = RunLog::open(&kept).unwrap();
     assert!(log.cut().is_none() && log.tick_count() > 500, "{said}");
     assert!(replay(&log).unwrap().identical && verify(&log).unwrap().ok);
+    // While another run has this name, a log of its own.
+    let other = fs::File::open(kept.with_file_name("simulation.lock")).unwrap();
+    other.lock().unwrap();
+    let (before, second) = (fs::read(&kept).unwrap(), "simulation-2.mcap");
+    let (code, said) = run(&[]);
+    assert!(code == Some(1) && said.contains(second), "{said}");
+    let log = RunLog::open(&kept.with_file_name(second)).unwrap();
+    assert!(verify(&log).unwrap().ok);
+    assert_eq!(fs::read(&kept).unwrap(), before);
     fs::remove_dir_all(folder).unwrap();
 }
 

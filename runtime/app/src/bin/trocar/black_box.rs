@@ -1,7 +1,7 @@
 //! The log that a run in real time keeps unasked: what led to a fault is on disk, whoever forgot `--log`.
 
 use std::env;
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -17,6 +17,9 @@ const BYTES_MAX: u64 = 256 << 20;
 /// A log that is no longer holds a few ticks at most, bytes: of a run that ended before its arms moved. Configuration and schemas are 23 kB
 /// of it, a tick about 1 kB.
 const HEADER_BYTES: u64 = 48_000;
+
+/// Runs of one name that keep a log at a time.
+const AT_A_TIME: u32 = 8;
 
 /// The lock of the log that this process keeps.
 static LOCK: OnceLock<File> = OnceLock::new();
@@ -63,19 +66,16 @@ fn folder() -> io::Result<PathBuf> {
     Ok(folder.join("black-box"))
 }
 
-/// The log of a run on the topics of that name, or of the simulation, with the one before it set aside.
-fn kept(folder: &Path, topics: &str) -> io::Result<PathBuf> {
+/// The log of a run on the topics of that name, or of the simulation, with the one before it set aside. Runs at the same time have
+/// one each: `NAME.mcap`, `NAME-2.mcap` and so on.
+fn kept(folder: &Path, name: &str) -> io::Result<PathBuf> {
     // Another name is refused where the topics are opened.
-    if Path::new(topics).file_name() != Some(topics.as_ref()) {
-        return Err(io::Error::other(format!("{topics:?} is no name of topics")));
+    if Path::new(name).file_name() != Some(name.as_ref()) {
+        return Err(io::Error::other(format!("{name:?} is no name of topics")));
     }
     fs::create_dir_all(folder)?;
-    // For as long as this process lives: another run on these topics keeps no log, and does not touch this one's.
-    let lock = File::create(folder.join(format!("{topics}.lock")))?;
-    lock.try_lock()
-        .map_err(|_| io::Error::other(format!("another run of {topics:?} keeps its own")))?;
-    let _first = LOCK.set(lock);
-    let file = |end: &str| folder.join(format!("{topics}{end}.mcap"));
+    let name = own_name(folder, name)?;
+    let file = |end: &str| folder.join(format!("{name}{end}.mcap"));
     let there = fs::metadata(file("")).map_or(0, |found| found.len());
     // One that came to no motion leaves the log of the one before, in which a fault may be.
     let parts: &[&str] = if there > HEADER_BYTES || file(".earlier").exists() {
@@ -100,4 +100,26 @@ fn kept(folder: &Path, topics: &str) -> io::Result<PathBuf> {
         fs::remove_file(file(""))?;
     }
     Ok(file(""))
+}
+
+/// The first of the names `name`, `name-2` ... that no other run has. It is this process' own for as long as it lives.
+fn own_name(folder: &Path, name: &str) -> io::Result<String> {
+    for number in 1..=AT_A_TIME {
+        let own = match number {
+            1 => name.to_owned(),
+            _ => format!("{name}-{number}"),
+        };
+        let lock = File::create(folder.join(format!("{own}.lock")))?;
+        match lock.try_lock() {
+            Ok(()) => {
+                let _first = LOCK.set(lock);
+                return Ok(own);
+            }
+            Err(TryLockError::WouldBlock) => {}
+            Err(TryLockError::Error(error)) => return Err(error),
+        }
+    }
+    Err(io::Error::other(format!(
+        "{AT_A_TIME} other runs of {name:?} keep theirs"
+    )))
 }
