@@ -113,7 +113,7 @@ def resampled(actions: Tensor, arms: int, from_ns: int, to_ns: int) -> Tensor:
     last = actions.shape[1] - 1
     due = torch.arange(last * from_ns // to_ns + 1, device=actions.device) * to_ns
     index = due // from_ns
-    share = ((due % from_ns) / from_ns).to(actions.dtype)[:, None, None]
+    share = ((due % from_ns).to(actions.dtype) / from_ns)[:, None, None]
     rows = actions.unflatten(-1, (arms, ABSOLUTE))
     before, after = rows[:, index], rows[:, (index + 1).clamp(max=last)]
     mixed = torch.lerp(before, after, share)
