@@ -1,4 +1,5 @@
-"""What the converters share: reading pickles without running what is in them, and writing a checkpoint's folder. `recipe.py` has its trocar.json."""
+"""What the converters share: reading pickles without running what is in them, and writing a checkpoint's folder, but for its trocar.json
+(`recipe.py`)."""
 
 import pickle
 from pathlib import Path

@@ -38,7 +38,9 @@ def size_of(text: str, option: str) -> tuple[int, int]:
 
 
 def add_shared_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--query-every", type=int, metavar="STEPS", help="policy steps of 40 ms from one query to the next; half a chunk if not given")
+    parser.add_argument(
+        "--query-every", type=int, metavar="STEPS", help="policy steps of 40 ms from one query to the next; half a chunk if not given"
+    )
     parser.add_argument(
         "--recorded", metavar="WIDTHxHEIGHT", help="size of the cameras' frames, a whole multiple of the network's; the same if not given"
     )
@@ -80,7 +82,7 @@ def recipe(
     variants: Mapping[str, Any],
     made: str,
 ) -> dict[str, Any]:
-    """`trocar.json`; `cameras` are the width and height of their frames, by feature, `query_every` the policy's own steps between queries."""
+    """`trocar.json`; `cameras` are width and height of their frames, by feature, `query_every` the policy's own steps between queries."""
     step_ns = 1_000_000_000 // options.fps
     return {
         "format": 1,
@@ -114,7 +116,7 @@ def write(
     query_every: int,
     variants: Mapping[str, Any],
 ) -> None:
-    """Writes `trocar.json` into `folder`, unless the user does not say what the actions mean. `size` is width and height of the network's images."""
+    """Writes `trocar.json` into `folder`, unless the user does not say what the actions mean. `size` is that of the network's images."""
     if options.actions is None:
         print("no trocar.json: --actions was not given, so the folder can be loaded but not run")
         return

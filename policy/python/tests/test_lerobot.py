@@ -241,7 +241,11 @@ def test_a_rate_that_nothing_says_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("HF_LEROBOT_HOME", str(tmp_path / "home"))
-    for index, (dataset, said) in enumerate([(None, "neither trocar.json nor train_config.json"), ({"repo_id": "lab/lift"}, "'lab/lift' is not on this machine")]):
+    cases: list[tuple[dict[str, Any] | None, str]] = [
+        (None, "neither trocar.json nor train_config.json"),
+        ({"repo_id": "lab/lift"}, "'lab/lift' is not on this machine"),
+    ]
+    for index, (dataset, said) in enumerate(cases):
         folder = tmp_path / str(index)
         folder.mkdir()
         trained = Trained(folder, dataset)

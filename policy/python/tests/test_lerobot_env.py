@@ -117,7 +117,8 @@ def test_what_a_policy_is_shown_has_the_features_of_a_dataset(
     # The seeds are two episodes.
     assert not torch.equal(shown["observation.images.endoscope"][0], shown["observation.images.endoscope"][1])
     features = env_to_policy_features(config)
-    assert {name: feature.shape for name, feature in features.items() if name != "action"} == {name: value.shape[1:] for name, value in shown.items()}
+    named = {name: feature.shape for name, feature in features.items() if name != "action"}
+    assert named == {name: value.shape[1:] for name, value in shown.items()}
     assert features["action"].shape == env.single_action_space.shape == (8 * arms,)
     # What `trocar record` writes of the same task is what a policy is trained on.
     recorded = ["record", "--task", task, "--source", "expert", "--episodes", "1", "--out", str(tmp_path / "demos")]

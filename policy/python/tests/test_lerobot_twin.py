@@ -20,6 +20,8 @@ from trocar.policy import later, targets_of
 pytest.importorskip("lerobot", reason="LeRobot is not installed: make test-lerobot installs it")
 
 import torch
+from lerobot.configs.default import DatasetConfig
+from lerobot.configs.train import TrainPipelineConfig
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
@@ -126,7 +128,7 @@ def test_lerobot_eval_succeeds_where_trocar_eval_does(binary: str, session: Call
 def test_a_policy_that_lerobot_trained_plays_at_its_datasets_rate(
     served: Callable[..., Any], name: str, binary: str, session: Callable[..., Any], tmp_path: Path
 ) -> None:
-    """LeRobot's own ACT class, saved by LeRobot, whose dataset has 15 frames a second; its weights are random, its actions about where the arm is."""
+    """LeRobot's own ACT class, saved by LeRobot, of a dataset of 15 frames a second; random weights, actions about where the arm is."""
     env = trocar.make("needle-lift", binary=binary)
     seen, _ = env.reset(seed=7)
     env.close()
@@ -156,7 +158,7 @@ def test_a_policy_that_lerobot_trained_plays_at_its_datasets_rate(
         part.save_pretrained(folder)
     (tmp_path / "demos/meta").mkdir(parents=True)
     (tmp_path / "demos/meta/info.json").write_text('{"fps": 15}')
-    (folder / "train_config.json").write_text(json.dumps({"dataset": {"repo_id": "lab/lift", "root": str(tmp_path / "demos")}}))
+    TrainPipelineConfig(dataset=DatasetConfig("lab/lift", root=str(tmp_path / "demos")), policy=config).save_pretrained(folder)
     log = tmp_path / "run.mcap"
     server = served(folder, name)
     awaited = ["--policy", f"external:{name}", "--policy-timeout", "120", "--log", str(log), "--seed", "7", "--json", "-"]

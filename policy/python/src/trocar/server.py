@@ -35,7 +35,8 @@ def serve(
     the time between two rows of its answers, 1 ms to 1 s: ``1_000_000_000 // 15`` of a policy trained at 15 frames a second; observations
     are 40 ms apart all the same. Ends after `sessions` sessions, or with Ctrl-C; the number of sessions that were served.
 
-    Raises ValueError for numbers outside their ranges, what the policy raises, and PolicyError for an answer that can't be used; the session is told and ends with that reason.
+    Raises ValueError for numbers outside their ranges, what the policy raises, and PolicyError for an answer that can't be used; the session
+    is told of both and ends with that reason.
     """
     peer = Peer(
         name,

@@ -72,7 +72,10 @@ def step_ns_of(folder: Path, fps: int | None = None) -> int:
 
 
 def policy_steps(steps: int, step_ns: int) -> int:
-    """`steps` of a policy's, of `step_ns` each, as policy steps of 40 ms, by which a session asks: no more than they last, and no more of them."""
+    """`steps` of a policy's, of `step_ns` each, as policy steps of 40 ms, by which a session asks.
+
+    No more than they last, and no more of them.
+    """
     return min(max(steps * step_ns // POLICY_STEP_NS, 1), steps)
 
 
@@ -85,9 +88,9 @@ def _checked_step_ns(file: Path, step_ns: Any) -> int:
 def _info_of_dataset(folder: Path) -> Path:
     """``meta/info.json`` of the dataset that the policy in `folder` was trained on."""
     file = folder / "train_config.json"
-    wanted = "give --fps, the frames a second of the dataset that it was trained on"
+    wanted = "so nothing says how fast its steps follow each other: give --fps, the frames a second of the dataset that it was trained on"
     if not file.exists():
-        raise CheckpointError(f"{folder}: neither trocar.json nor train_config.json is there, so nothing says how fast its steps follow each other: {wanted}")
+        raise CheckpointError(f"{folder}: neither trocar.json nor train_config.json is there, {wanted}")
     dataset = read_json(file).get("dataset")
     root, name = (dataset.get(key) for key in ("root", "repo_id")) if isinstance(dataset, dict) else (None, None)
     home = Path(os.environ.get("HF_LEROBOT_HOME") or Path(os.environ.get("HF_HOME") or "~/.cache/huggingface") / "lerobot").expanduser()
@@ -100,7 +103,7 @@ def _info_of_dataset(folder: Path) -> Path:
     for place in places:
         if (place / "meta/info.json").exists():
             return place / "meta/info.json"
-    raise CheckpointError(f"{file}: the dataset {root or name!r} is not on this machine, so nothing says how fast its steps follow each other: {wanted}")
+    raise CheckpointError(f"{file}: the dataset {root or name!r} is not on this machine, {wanted}")
 
 
 def wants_conversion(folder: Path) -> bool:

@@ -68,7 +68,10 @@ class LoadedModel:
 
 
 def load(folder: Path, step_ns: int, device: str = "cpu") -> tuple[ServedPolicy, int]:
-    """The policy in `folder`, LeRobot's or Trocar's, whose steps last `step_ns`, to be served; and its policy steps from one query to the next."""
+    """The policy in `folder`, LeRobot's or Trocar's, whose steps last `step_ns`, to be served.
+
+    And the policy steps from one query to the next.
+    """
     register()
     recipe = recipe_of(folder)
     with tempfile.TemporaryDirectory() as made:
