@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-adversary test-golden test-can test-python test-foxglove test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python bench clean
+.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-adversary test-golden test-can test-python test-foxglove test-lerobot test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python setup-lerobot bench clean
 
 TARGET := $(abspath $(or $(CARGO_TARGET_DIR),target))
 TROCAR := $(TARGET)/release/trocar
@@ -87,6 +87,11 @@ test-python: setup setup-python checked
 test-foxglove: setup setup-python checked
 	cd policy/python && TROCAR=$(TROCAR_CHECKED) $(PYTHON) -B -m pytest -q -p no:cacheprovider tests/test_foxglove.py
 
+# The plug-in in LeRobot's own registry and rollout, and committed policies run by LeRobot's classes beside our engine. Wants Python 3.12 and
+# installs 5.5 GB, so it is no part of `make test`.
+test-lerobot: setup setup-lerobot checked
+	cd policy/python && TROCAR=$(TROCAR_CHECKED) $(CURDIR)/target/lerobot/bin/python -B -m pytest -q -p no:cacheprovider tests/test_lerobot.py tests/test_lerobot_env.py tests/test_lerobot_twin.py
+
 # A tiny study interrupted, killed, gone on with, in two shards, reported, its page opened in a browser.
 test-study: setup setup-browser checked
 	$(CARGO) test --workspace --test study -- --include-ignored
@@ -155,6 +160,10 @@ setup-browser:
 # Only the tests of the Python package need what this installs.
 setup-python:
 	@.ci/setup-python.sh
+
+# Only the tests with LeRobot need what this installs.
+setup-lerobot:
+	@.ci/setup-lerobot.sh
 
 clean:
 	cargo clean

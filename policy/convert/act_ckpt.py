@@ -4,13 +4,14 @@
 Requirements: torch numpy safetensors
 
     python policy/convert/act_ckpt.py policy_best.ckpt dataset_stats.pkl --cameras endoscope --image 640x480 --out runs/act \
-        --actions observation_relative
+        --actions observation_relative --fps 50
 
 Nothing in the two files is run: whatever is no tensor or array is left unread. Sizes come from the weights; the size of the images,
 the cameras' names in their order, and the number of heads (8) are not in them. Of the seven decoder layers the original uses the
 first one's output, so that one is kept (LeRobot's n_decoder_layers = 1), as are the variational encoder's weights.
 
-The original has no meaning of its actions; those of this project are relative to the tip (see --actions). A policy that predicts
+The original has no meaning of its actions; those of this project are relative to the tip (see --actions). Nor is its rate in the file: the
+authors' tasks have 50 steps a second (--fps). A policy that predicts
 joint angles can be converted and computed with, but not run on an arm.
 """
 
@@ -18,6 +19,7 @@ import argparse
 import re
 
 import common
+import recipe
 
 # The original's beginnings of keys, and LeRobot's. The first that fits wins.
 NAMES = [
@@ -111,8 +113,8 @@ def main():
     parser.add_argument("--image", required=True, metavar="WIDTHxHEIGHT", help="size of the images that the network was trained on")
     parser.add_argument("--heads", type=int, default=8)
     parser.add_argument("--out", required=True)
-    common.add_recipe_options(parser)
-    options = parser.parse_args()
+    recipe.add_options(parser)
+    options = recipe.parsed(parser)
 
     weights = renamed(common.load_checkpoint(options.checkpoint))
     found = common.load_pickle(options.statistics)
@@ -125,7 +127,7 @@ def main():
             common.fail(f"{options.statistics} has no {name}_{missing[0]}")
         statistics[feature] = {part: common.vector(f"{name}_{part}", found[f"{name}_{part}"], width) for part in ("mean", "std")}
     cameras = [f"observation.images.{name}" for name in options.cameras.split(",")]
-    width, height = common.size_of(options.image, "--image")
+    width, height = recipe.size_of(options.image, "--image")
     inputs, outputs = common.act_features(cameras, height, width, state_dim, action_dim)
     config = config_of(weights, inputs, outputs, options.heads)
 
@@ -135,7 +137,8 @@ def main():
     common.write_json(folder / "config.json", config)
     variants = {"backbone_norm": "frozen_batch_norm", "loss_denominator": "all"}
     size = (width, height)
-    common.write_recipe(folder, options, options.checkpoint, "paper", cameras, size, state_dim, config["chunk_size"], variants)
+    every = max(1, config["chunk_size"] // 2)
+    recipe.write(folder, options, options.checkpoint, "paper", cameras, size, state_dim, every, variants)
     print(f"{len(weights)} tensors, chunks of {config['chunk_size']} steps, {state_dim} numbers of state, in {folder}")
 
 

@@ -1,12 +1,14 @@
-"""What the converters share: reading pickles without running what is in them, and writing a checkpoint's folder."""
+"""What the converters share: reading pickles without running what is in them, and writing a checkpoint's folder, but for its trocar.json
+(`recipe.py`)."""
 
-import json
 import pickle
 from pathlib import Path
 
 import numpy as np
 import torch
 from safetensors.torch import save_file
+
+from recipe import fail, write_json
 
 IMAGENET = {"mean": [0.485, 0.456, 0.406], "std": [0.229, 0.224, 0.225]}
 BEFORE = "policy_preprocessor_step_3_normalizer_processor.safetensors"
@@ -102,10 +104,6 @@ def plain(node):
     return state
 
 
-def fail(text):
-    raise SystemExit(f"error: {text}")
-
-
 def vector(name, values, width=None):
     """One feature's numbers in single precision; they must be as many as wanted, and finite."""
     found = torch.as_tensor(np.asarray(values), dtype=torch.float32).reshape(-1).contiguous()
@@ -122,10 +120,6 @@ def new_folder(path):
         fail(f"{path} exists and is not an empty folder")
     path.mkdir(parents=True, exist_ok=True)
     return path
-
-
-def write_json(path, value):
-    path.write_text(json.dumps(value, indent=2, sort_keys=True) + "\n")
 
 
 def write_weights(folder, weights):
@@ -165,53 +159,3 @@ def write_processors(folder, inputs, outputs, statistics):
             for part, values in IMAGENET.items():
                 flat[f"{camera}.{part}"] = torch.tensor(values).view(3, 1, 1)
     save_file(flat, folder / BEFORE)
-
-
-def add_recipe_options(parser):
-    parser.add_argument(
-        "--actions",
-        choices=["observation_relative"],
-        help="write trocar.json, without which a policy is not run: the file does not say what its actions mean, so that you have to. "
-        "observation_relative: of each arm the translation from the measured tip in the RCM frame (m), the rotation vector in the "
-        "measured tip's frame (rad), the jaw (rad)",
-    )
-    parser.add_argument("--fps", type=int, default=25, help="steps of a chunk a second")
-    parser.add_argument("--query-every", type=int, help="steps from one query to the next; half a chunk if not given")
-    parser.add_argument(
-        "--recorded", metavar="WIDTHxHEIGHT", help="size of the cameras' frames, a whole multiple of the network's; the same if not given"
-    )
-    parser.add_argument("--task", default="", help="the task in words")
-
-
-def size_of(text, option):
-    try:
-        width, height = (int(part) for part in text.split("x"))
-    except ValueError:
-        fail(f"{option} {text}: expected WIDTHxHEIGHT")
-    return width, height
-
-
-def write_recipe(folder, options, source, preset, cameras, size, state_dim, steps, variants):
-    """`trocar.json`; left out unless the user says what the actions mean."""
-    if options.actions is None:
-        print("no trocar.json: --actions was not given, so the folder can be loaded but not run")
-        return
-    if state_dim % 7 or state_dim // 7 not in (1, 2):
-        fail(f"{state_dim} numbers of state are not those of one or two arms, 7 each")
-    width, height = size_of(options.recorded, "--recorded") if options.recorded else size
-    recipe = {
-        "format": 1,
-        "arms": state_dim // 7,
-        "action_representation": options.actions,
-        "step_ns": 1_000_000_000 // options.fps,
-        "query_every_steps": options.query_every or max(1, steps // 2),
-        "aggregation": {"mode": "newest", "decay": 0.01},
-        "cameras": [{"feature": camera, "width": width, "height": height} for camera in cameras],
-        "preset": preset,
-        "variants": variants,
-        "recipe": f"converted from {Path(source).name}",
-        "dataset": {"task": options.task, "episodes": 0, "frames": 0, "fps": options.fps},
-        "seed": 0,
-        "training": None,
-    }
-    write_json(folder / "trocar.json", recipe)

@@ -4,7 +4,7 @@
 Requirements: torch numpy safetensors
 
     python policy/convert/dp3_ckpt.py latest.ckpt --cameras endoscope --recorded 512x512 --out runs/dp3 \
-        --actions observation_relative --frame scene
+        --actions observation_relative --fps 25 --frame scene
 
 The averaged weights (`ema_model`) are taken, as the authors evaluate them. Nothing in the file is run: its configuration is read
 as data, whatever else is no tensor is left unread. Sizes come from the weights; horizon and steps from the configuration in the
@@ -12,7 +12,8 @@ file, or from --horizon and --n-action-steps.
 
 Refused, since this project has no such network: colour in the point cloud, another condition than FiLM, layers without their norm,
 a normaliser that is not "limits". How the clouds were made is not in the file: the options say it, and they must say what the
-training did. A folder of DP3 always has a trocar.json, so --actions must be given.
+training did. A folder of DP3 always has a trocar.json, so --actions and --fps must be given; without --query-every it is asked after
+n_action_steps of its own.
 """
 
 import argparse
@@ -22,6 +23,7 @@ import torch
 from safetensors.torch import save_file
 
 import common
+import recipe
 
 DROPPED = ("normalizer.", "mask_generator.", "_dummy_variable")
 # Least deviation that is written: DP3 normalises by limits and has no use for it, but a reader refuses none.
@@ -144,8 +146,8 @@ def main():
     parser.add_argument("--dropped-instances", default="", help="ids that are dropped, with commas between them")
     parser.add_argument("--voxel", type=float, help="side of the cubes of which each keeps its first point, m")
     parser.add_argument("--padding", choices=PADDINGS, default=PADDINGS[0], help="what fills a cloud that has fewer points; origin is what the authors do")
-    common.add_recipe_options(parser)
-    options = parser.parse_args()
+    recipe.add_options(parser)
+    options = recipe.parsed(parser)
     if options.actions is None or options.recorded is None:
         common.fail("--actions and --recorded must be given: the file says neither, and a DP3 folder needs both")
 
@@ -167,9 +169,8 @@ def main():
     cameras = [f"observation.images.{name}" for name in options.cameras.split(",")]
     variants = {"backbone_norm": "frozen_batch_norm", "loss_denominator": "valid"}
     preset = "dp3" if network["blocks"] == 2 else "simple_dp3"
-    steps = network["horizon"] - network["n_obs_steps"] + 1
-    options.query_every = options.query_every or network["n_action_steps"]
-    common.write_recipe(folder, options, options.checkpoint, preset, cameras, None, network["state_dim"], steps, variants)
+    every = network["n_action_steps"]
+    recipe.write(folder, options, options.checkpoint, preset, cameras, None, network["state_dim"], every, variants)
     print(f"{len(weights)} tensors of {preset}, horizon {network['horizon']}, in {folder}")
 
 

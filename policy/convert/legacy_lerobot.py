@@ -3,7 +3,7 @@
 
 Requirements: torch numpy safetensors
 
-    python policy/convert/legacy_lerobot.py OLD_FOLDER --out runs/act [--actions observation_relative]
+    python policy/convert/legacy_lerobot.py OLD_FOLDER --out runs/act [--actions observation_relative --fps FPS]
 
 Images must have been normalised with ImageNet's statistics, LeRobot's default; with a dataset's own the network would see other
 colours here, so that is refused.
@@ -17,6 +17,7 @@ import torch
 from safetensors.torch import load_file
 
 import common
+import recipe
 
 NORMALISERS = ("normalize_inputs.", "normalize_targets.", "unnormalize_outputs.")
 
@@ -33,8 +34,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", required=True)
-    common.add_recipe_options(parser)
-    options = parser.parse_args()
+    recipe.add_options(parser)
+    options = recipe.parsed(parser)
 
     config = json.loads((options.folder / "config.json").read_text())
     if config.get("type") != "act":
@@ -66,9 +67,8 @@ def main():
     _, height, width = inputs[cameras[0]]["shape"] if cameras else common.fail("there is no camera")
     state_dim = inputs["observation.state"]["shape"][0]
     variants = {"backbone_norm": "frozen_batch_norm", "loss_denominator": "all"}
-    common.write_recipe(
-        folder, options, options.folder, "lerobot", cameras, (width, height), state_dim, config["chunk_size"], variants
-    )
+    every = max(1, config["chunk_size"] // 2)
+    recipe.write(folder, options, options.folder, "lerobot", cameras, (width, height), state_dim, every, variants)
     print(f"{len(weights)} tensors, statistics of {len(statistics) + len(cameras)} features, in {folder}")
 
 

@@ -19,11 +19,10 @@ import argparse
 import json
 from pathlib import Path
 
+import recipe
+from recipe import fail
+
 WIDTHS = {"absolute_pose": 8, "observation_relative": 7}
-
-
-def fail(text):
-    raise SystemExit(f"error: {text}")
 
 
 def raise_deviations(folder, least):
@@ -46,12 +45,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--actions", choices=sorted(WIDTHS), required=True, help="what the actions mean")
-    parser.add_argument("--fps", type=int, required=True, help="steps of a chunk a second: the dataset's")
-    parser.add_argument("--query-every", type=int, help="steps from one query to the next; half a chunk if not given")
-    parser.add_argument(
-        "--recorded", metavar="WIDTHxHEIGHT", help="size of the cameras' frames, a whole multiple of the network's; the same if not given"
-    )
-    parser.add_argument("--task", default="", help="the task in words")
+    parser.add_argument("--fps", type=recipe.fps, required=True, help="steps of a chunk a second: the dataset's")
+    recipe.add_shared_options(parser)
     parser.add_argument("--least-deviation", type=float, help="raise smaller deviations of state and action to this")
     options = parser.parse_args()
 
@@ -67,34 +62,21 @@ def main():
     if state % 7 or arms not in (1, 2) or action != arms * WIDTHS[options.actions]:
         fail(f"{file}: {state} numbers of state and {action} of action are not those of one or two arms with {options.actions}")
     cameras = {name: feature["shape"] for name, feature in config["input_features"].items() if feature["type"] == "VISUAL"}
-    recorded = None
-    if options.recorded:
-        try:
-            recorded = [int(part) for part in options.recorded.split("x")]
-            width, height = recorded
-        except ValueError:
-            fail(f"--recorded {options.recorded}: expected WIDTHxHEIGHT")
-    size = lambda shape: recorded or [shape[2], shape[1]]
-    recipe = {
-        "format": 1,
-        "arms": arms,
-        "action_representation": options.actions,
-        "step_ns": 1_000_000_000 // options.fps,
-        "query_every_steps": options.query_every or max(1, config["chunk_size"] // 2),
-        "aggregation": {"mode": "newest", "decay": 0.01},
-        "cameras": [{"feature": name, "width": size(shape)[0], "height": size(shape)[1]} for name, shape in cameras.items()],
-        "preset": "lerobot",
-        "variants": {"backbone_norm": "frozen_batch_norm", "loss_denominator": "valid"},
-        "recipe": "trained with LeRobot",
-        "dataset": {"task": options.task, "episodes": 0, "frames": 0, "fps": options.fps},
-        "seed": 0,
-        "training": None,
-    }
+    recorded = recipe.size_of(options.recorded, "--recorded") if options.recorded else None
+    content = recipe.recipe(
+        options,
+        arms=arms,
+        cameras={name: recorded or (shape[2], shape[1]) for name, shape in cameras.items()},
+        query_every=max(1, config["chunk_size"] // 2),
+        preset="lerobot",
+        variants={"backbone_norm": "frozen_batch_norm", "loss_denominator": "valid"},
+        made="trained with LeRobot",
+    )
     if options.least_deviation is not None:
         if not 0 < options.least_deviation < 1:
             fail(f"--least-deviation {options.least_deviation} is outside (0, 1)")
         raise_deviations(options.folder, options.least_deviation)
-    (options.folder / "trocar.json").write_text(json.dumps(recipe, indent=2, sort_keys=True) + "\n")
+    recipe.write_json(options.folder / "trocar.json", content)
     print(f"{options.folder / 'trocar.json'}: {arms} arm{'s' * (arms - 1)}, {len(cameras)} cameras, {options.actions}")
 
 

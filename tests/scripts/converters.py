@@ -133,7 +133,7 @@ def act_case(work, source):
     with open(statistics, "wb") as file:
         pickle.dump(numbers | {"example_qpos": np.zeros((5, 14), np.float32)}, file)
     options = ["--cameras", "top,side", "--image", "128x96"]
-    converted("act_ckpt.py", checkpoint, statistics, *options, "--out", work / "act", "--actions", "observation_relative")
+    converted("act_ckpt.py", checkpoint, statistics, *options, "--out", work / "act", "--actions", "observation_relative", "--fps", 25)
     torch.manual_seed(6)
     images = torch.randint(0, 256, (2, 2, 96, 128, 3), dtype=torch.uint8)
     state = torch.randn(2, 14) * 0.3
@@ -156,6 +156,7 @@ def refuse_act(work, checkpoint, statistics, numbers, options):
     with open(work / "nan.pkl", "wb") as file:
         pickle.dump(numbers | {"qpos_mean": np.full(14, np.nan, np.float32)}, file)
     torch.save({"model.something": torch.zeros(3)}, work / "other.ckpt")
+    must_fail("nobody says how fast", "--fps must be given", "act_ckpt.py", checkpoint, statistics, *options, *out, "--actions", "observation_relative")
     must_fail("statistics without a part", "has no action_std", "act_ckpt.py", checkpoint, work / "short.pkl", *options, *out)
     must_fail("statistics that are NaN", "not finite", "act_ckpt.py", checkpoint, work / "nan.pkl", *options, *out)
     must_fail("another network", "no place for the tensor", "act_ckpt.py", work / "other.ckpt", statistics, *options, *out)
@@ -233,7 +234,7 @@ def dp3_case(work, source, simple):
     checkpoint = work / f"{name}.ckpt"
     torch.save(payload, checkpoint, pickle_module=dill)
     recorded = ["--cameras", "endoscope", "--recorded", "512x512", "--points", "256"]
-    converted("dp3_ckpt.py", checkpoint, *recorded, "--out", work / name, "--actions", "observation_relative")
+    converted("dp3_ckpt.py", checkpoint, *recorded, "--out", work / name, "--actions", "observation_relative", "--fps", 25)
     inputs = {
         "point_cloud": torch.rand(1, 2, 256, 3, generator=generator) * 0.2,
         "agent_pos": torch.rand(1, 2, 7, generator=generator),
@@ -260,7 +261,7 @@ def dp3_case(work, source, simple):
 
 def refuse_dp3(work, payload, recorded, dill):
     state = payload["state_dicts"]["ema_model"]
-    out = ["--out", work / "refused", "--actions", "observation_relative"]
+    out = ["--out", work / "refused", "--actions", "observation_relative", "--fps", 25]
     key = "normalizer.params_dict.action.scale"
 
     def saved(name, state):
@@ -291,7 +292,7 @@ def legacy_case(work):
             weights[f"{normaliser}.buffer_{name}.{part}"] = value.clone()
     save_file(weights, old / "model.safetensors")
     shutil.copy(new / "config.json", old / "config.json")
-    converted("legacy_lerobot.py", old, "--out", work / "legacy", "--actions", "observation_relative")
+    converted("legacy_lerobot.py", old, "--out", work / "legacy", "--actions", "observation_relative", "--fps", 25)
     torch.manual_seed(10)
     images = torch.randint(0, 256, (2, 96, 128, 3), dtype=torch.uint8)
     inputs = {"observation.state": torch.randn(2, 7) * 0.3, "observation.images.endoscope": images}

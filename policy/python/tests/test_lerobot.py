@@ -15,7 +15,7 @@ from safetensors.numpy import load_file
 from trocar.lerobot import CheckpointError, Features, ServedPolicy, convert
 from trocar.lerobot.__main__ import main
 from trocar.lerobot.adapter import area_average
-from trocar.lerobot.checkpoint import wants_conversion
+from trocar.lerobot.checkpoint import policy_steps, step_ns_of, wants_conversion
 
 COMMITTED = Path(__file__).parents[3] / "config/policies"
 
@@ -46,7 +46,7 @@ def observation(step: int = 0, arms: int = 1) -> trocar.Observation:
         seen.append(trocar.Arm(joints, velocity, effort, random.normal(), 0.0, 0.0, tip))
     colour = random.integers(0, 256, (64, 96, 3), dtype=np.uint8)
     frame = trocar.Frame(colour, np.zeros((64, 96), np.float32), colour[..., 0], (1, 1, 0, 0), np.zeros(7), 0)
-    return trocar.Observation(stamp_ns=0, step=step, arms=tuple(seen), frames={"endoscope": frame})
+    return trocar.Observation(stamp_ns=40_000_000 * step, step=step, arms=tuple(seen), frames={"endoscope": frame})
 
 
 def test_a_model_is_shown_the_numbers_of_a_dataset() -> None:
@@ -84,6 +84,29 @@ def test_a_history_is_shown_oldest_first_and_forgotten_at_a_reset() -> None:
     begun = model.shown[1]["observation.state"][0]
     assert model.seeds == [5]
     np.testing.assert_array_equal(begun[0], begun[2])
+
+
+@pytest.mark.parametrize(
+    ("fps", "steps", "shown"),
+    [(25, 3, [10, 11, 12]), (15, 3, [9, 10, 12]), (10, 3, [7, 9, 12]), (10, 2, [9, 12]), (5, 2, [7, 12]), (30, 3, [10, 11, 12])],
+)
+def test_a_history_is_of_the_models_own_rate(fps: int, steps: int, shown: list[int]) -> None:
+    """The nearest of a session's observations, which are 40 ms apart: at 15 frames a second those of 133 and 67 ms before."""
+    model = Holds()
+    policy = ServedPolicy(model, Features({}, 7, 8, steps), step_ns=1_000_000_000 // fps)
+    assert policy.history == 12 - shown[0]
+    # As many as are asked for before a query, with another query's among them.
+    for step in range(2, 12):
+        (policy.infer if step == 8 else policy.observe)(observation(step))
+    policy.infer(observation(12))
+    found = model.shown[-1]["observation.state"][0, :, :6]
+    np.testing.assert_array_equal(found, [observation(step).arms[0].joints.astype(np.float32) for step in shown])
+
+
+def test_a_history_finer_than_what_is_shown_is_refused() -> None:
+    with pytest.raises(trocar.PolicyError, match="2 observations at once, 20 ms apart: those of a session are 40 ms apart"):
+        ServedPolicy(Holds(), Features({}, 7, 8, steps=2), step_ns=20_000_000)
+    assert ServedPolicy(Holds(), Features({}, 7, 8), step_ns=20_000_000).history == 0
 
 
 def test_blocks_are_averaged_and_rounded_as_our_engine_does() -> None:
@@ -135,6 +158,7 @@ def test_committed_policies_convert(committed: str, arms: int, stages: int, tmp_
     tensors = load_file(out / "model.safetensors")
     assert {tensor.dtype for tensor in tensors.values()} == {np.dtype(np.float32)}
     assert tensors["action_std"].shape == (7 * arms,) and not any("vae" in name for name in tensors)
+    assert config["step_ns"] == 40_000_000
     steps = [step["registry_name"] for step in json.loads((out / "policy_preprocessor.json").read_text())["steps"]]
     assert steps.index("trocar_area_average") == steps.index("normalizer_processor") - 1
     with pytest.raises(CheckpointError, match="is there already"):
@@ -174,3 +198,78 @@ def test_policies_that_queue_observations_are_refused_by_type(tmp_path: Path, ca
     assert main(["serve", str(tmp_path)]) == 2
     said = capsys.readouterr().err
     assert "config.json: type = 'vqbet' can't be served" in said and "lerobot-eval" in said
+
+
+class Trained:
+    """A checkpoint of LeRobot's with the dataset that it was trained on, or without."""
+
+    def __init__(self, folder: Path, dataset: dict[str, Any] | None) -> None:
+        self.policy, self.home = folder / "pretrained_model", folder / "home"
+        self.policy.mkdir()
+        (self.policy / "config.json").write_text('{"type": "act"}')
+        if dataset is not None:
+            (self.policy / "train_config.json").write_text(json.dumps({"dataset": dataset}))
+
+    def recorded(self, place: Path, fps: object) -> None:
+        (place / "meta").mkdir(parents=True)
+        (place / "meta/info.json").write_text(json.dumps({"fps": fps}))
+
+
+def test_the_rate_is_the_datasets(tmp_path: Path) -> None:
+    trained = Trained(tmp_path, {"repo_id": "lab/lift", "root": str(tmp_path / "demos")})
+    trained.recorded(tmp_path / "demos", 15)
+    assert step_ns_of(trained.policy) == 66_666_666
+    assert step_ns_of(trained.policy, fps=10) == 100_000_000
+    # Trocar's own file says it of what it has converted or made.
+    (trained.policy / "trocar.json").write_text('{"step_ns": 33333333}')
+    assert step_ns_of(trained.policy) == 33_333_333
+
+
+@pytest.mark.parametrize("place", ["lab/lift", "hub/datasets--lab--lift/snapshots/0123abc"])
+@pytest.mark.parametrize("variable", ["HF_LEROBOT_HOME", "HF_HOME"])
+def test_a_dataset_is_looked_for_where_lerobot_has_it(
+    place: str, variable: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trained = Trained(tmp_path, {"repo_id": "lab/lift", "root": None})
+    monkeypatch.delenv("HF_LEROBOT_HOME", raising=False)
+    monkeypatch.setenv(variable, str(trained.home))
+    trained.recorded(trained.home / ("lerobot" if variable == "HF_HOME" else "") / place, 30)
+    assert step_ns_of(trained.policy) == 33_333_333
+
+
+def test_a_rate_that_nothing_says_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HF_LEROBOT_HOME", str(tmp_path / "home"))
+    cases: list[tuple[dict[str, Any] | None, str]] = [
+        (None, "neither trocar.json nor train_config.json"),
+        ({"repo_id": "lab/lift"}, "'lab/lift' is not on this machine"),
+    ]
+    for index, (dataset, said) in enumerate(cases):
+        folder = tmp_path / str(index)
+        folder.mkdir()
+        trained = Trained(folder, dataset)
+        assert main(["serve", str(trained.policy)]) == 2
+        told = capsys.readouterr().err
+        assert said in told and "give --fps" in told
+        assert step_ns_of(trained.policy, fps=15) == 66_666_666
+
+
+@pytest.mark.parametrize("fps", [0, -15, 1001, 12.5, "15", None], ids=str)
+def test_a_rate_that_is_none_is_refused(fps: Any, tmp_path: Path) -> None:
+    trained = Trained(tmp_path, {"repo_id": "lab/lift", "root": str(tmp_path / "demos")})
+    trained.recorded(tmp_path / "demos", fps)
+    with pytest.raises(CheckpointError, match=rf"info\.json: fps = {fps!r}: allowed are 1 to 1000"):
+        step_ns_of(trained.policy)
+    (trained.policy / "trocar.json").write_text(json.dumps({"step_ns": fps}))
+    with pytest.raises(CheckpointError, match=rf"trocar\.json: step_ns = {fps!r}: allowed are 1000000 to 1000000000"):
+        step_ns_of(trained.policy)
+    if isinstance(fps, int):
+        with pytest.raises(CheckpointError, match=f"--fps = {fps}: allowed are 1 to 1000"):
+            step_ns_of(trained.policy, fps)
+
+
+def test_a_session_asks_within_what_a_slow_policy_answers() -> None:
+    """The same as a trained policy of ours has it: `policy_steps` of runtime/app/src/session/training_recipe.rs."""
+    assert [policy_steps(25, 1_000_000_000 // fps) for fps in (25, 50, 5, 30)] == [25, 12, 25, 20]
+    assert policy_steps(1, 20_000_000) == 1

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trocar
 from trocar import messages
-from trocar.policy import Arm, Observation, chunk_of, targets_of
+from trocar.policy import Arm, Observation, chunk_of, later, targets_of
 
 
 def seen(*tips: list[float]) -> Observation:
@@ -60,6 +60,21 @@ def test_what_is_no_answer_is_named(answer: object, said: str) -> None:
     assert said in str(raised.value)
 
 
+def test_what_is_still_to_come_lies_evenly_between_rows() -> None:
+    turn = lambda degrees: [0.0, 0.0, np.sin(np.radians(degrees / 2)), np.cos(np.radians(degrees / 2))]  # noqa: E731
+    rows = np.array([[0.0, 0.0, 0.0, *turn(0), 0.0], [0.4, 0.0, 0.0, *turn(120), 0.8], [0.8, 0.0, 0.0, *turn(160), 0.8]])
+    np.testing.assert_array_equal(later(rows, 0, 100), rows)
+    np.testing.assert_array_equal(later(rows, 100, 100), rows[1:])
+    first, second = later(rows, 25, 100)
+    np.testing.assert_allclose(first, [0.1, 0.0, 0.0, *turn(30), 0.2], atol=1e-12)
+    np.testing.assert_allclose(second, [0.5, 0.0, 0.0, *turn(130), 0.8], atol=1e-12)
+    # A quaternion and its negative are one rotation.
+    opposite = rows * [1, 1, 1, -1, -1, -1, -1, 1]
+    np.testing.assert_allclose(later(np.array([rows[0], opposite[1]]), 25, 100)[0], first, atol=1e-12)
+    assert later(rows, 175, 100).shape == (1, 8)
+    assert later(rows, 200, 100).shape == (1, 8) and later(rows, 250, 100).shape == later(rows, 900, 100).shape == (0, 8)
+
+
 def test_a_chunk_carries_its_targets_and_blanks() -> None:
     chunk = chunk_of(np.array([HERE, HERE]), 80, 3, 40)
     assert (chunk.observed_at, chunk.sequence, chunk.step_ns, chunk.len) == (80, 3, 40, 2)
@@ -83,3 +98,6 @@ def test_bad_names_and_numbers_are_refused() -> None:
         trocar.Peer("x", query_every=0)
     with pytest.raises(ValueError, match="cameras: 9"):
         trocar.Peer("x", cameras=["endoscope"] * 9)
+    for step_ns in (0, 999_999, 1_000_000_001):
+        with pytest.raises(ValueError, match=f"step_ns = {step_ns}: allowed are 1000000 to 1000000000"):
+            trocar.Peer("x", step_ns=step_ns)

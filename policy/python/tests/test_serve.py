@@ -247,6 +247,55 @@ def test_chunks_may_overlap_as_real_time_chunking_has_it(name: str, session: Cal
         assert np.allclose(np.diff(after[:, 2]), 0.0005)
 
 
+class Rises:
+    """Answers once with where the tip is and half a millimetre above each row's predecessor."""
+
+    ROWS = 60
+
+    def __init__(self) -> None:
+        self.answers: list[np.ndarray] = []
+        self.left_over: list[np.ndarray] = []
+
+    def infer(self, observation: trocar.Observation) -> np.ndarray:
+        self.left_over.append(observation.left_over[0])
+        rows = np.repeat(observation.arms[0].here[None], self.ROWS, axis=0)
+        rows[:, 2] += 0.0005 * np.arange(self.ROWS)
+        self.answers.append(rows)
+        return rows
+
+
+@pytest.mark.parametrize("fps", [25, 15, 10])
+def test_rows_are_due_at_the_rate_that_they_are_served_with(
+    fps: int, name: str, session: Callable[..., Any], tmp_path: Path
+) -> None:
+    log = tmp_path / "run.mcap"
+    delay = ["--latency-ms", "0", "--log", str(log)]
+    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", *delay, *short(2.0))
+    policy = Rises()
+    assert trocar.serve(policy, name, query_every=50, step_ns=1_000_000_000 // fps, sessions=1) == 1
+    _, _, err = running.end()
+    assert len(policy.answers) == 1, err
+    tables = trocar.read_log(log, ["/policy/chunk", "/psm1/measured_cp"])
+    assert list(tables["/policy/chunk"]["step_ns"]) == [1_000_000_000 // fps]
+    height = tables["/psm1/measured_cp"]["z"].to_numpy()
+    # Once it is under way, and before the end: metres a second of the 1 kHz record.
+    speed = (height[1800] - height[1000]) / 0.8
+    assert speed == pytest.approx(0.0005 * fps, rel=0.02)
+
+
+def test_what_is_left_over_is_due_at_the_policys_own_rate(name: str, session: Callable[..., Any]) -> None:
+    """At 15 rows a second a query each 160 ms comes at row 2.4 of the answer before."""
+    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", *short(1.0))
+    policy = Rises()
+    assert trocar.serve(policy, name, query_every=4, step_ns=1_000_000_000 // 15, sessions=1) == 1
+    _, _, err = running.end()
+    assert len(policy.left_over[0]) == 0 and len(policy.answers) >= 5, err
+    for rows, left in zip(policy.answers, policy.left_over[1:]):
+        assert left.shape == (Rises.ROWS - 3, 8)
+        np.testing.assert_allclose(left[:, 2] - rows[0, 2], 0.0005 * (2.4 + np.arange(len(left))), atol=1e-9)
+        np.testing.assert_allclose(left[:, 3:], rows[3:, 3:], atol=1e-12)
+
+
 @pytest.mark.parametrize("relative", [True, False], ids=["relative", "absolute"])
 def test_a_policy_may_answer_late_in_real_time(
     relative: bool, name: str, session: Callable[..., Any], tmp_path: Path

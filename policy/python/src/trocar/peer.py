@@ -12,7 +12,7 @@ from typing import Union
 import numpy as np
 
 from . import messages as m
-from .policy import Arm, Array, Frame, Observation, arm_of, chunk_of
+from .policy import POLICY_STEP_NS, Arm, Array, Frame, Observation, arm_of, checked_step_ns, chunk_of
 from .topics import FrameSubscriber, Node
 
 #: Seconds between two looks at whether the session is there, between two signs of life, and between two hellos to late readers.
@@ -59,7 +59,10 @@ class Peer:
     """Takes part in sessions on the topics of a name, one after another.
 
     The turns of a policy are stretches of `query_every` policy steps. The first whole observation of a turn wants an answer; of the others
-    those that precede the next turn by at most `history` steps are shown.
+    those that precede the next turn by at most `history` steps are shown. Rows of an answer are `step_ns` apart: that has nothing to do with
+    the policy steps, which are the session's.
+
+    Raises ValueError for numbers outside their ranges.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class Peer:
         query_every: int = 1,
         history: int = 0,
         arms: int = 0,
+        step_ns: int = POLICY_STEP_NS,
         title: str = "python policy",
     ) -> None:
         if len(cameras) > m.CAMERAS_MAX:
@@ -78,6 +82,7 @@ class Peer:
             raise ValueError(f"query_every = {query_every}, history = {history}: allowed are 1 or more, and 0 or more")
         self._query_every = query_every
         self._history = history
+        self._step_ns = checked_step_ns(step_ns)
         self._node = Node(name)
         self._events = self._node.events()
         first = m.ARM_NAMES[0]
@@ -165,11 +170,11 @@ class Peer:
 
     def answer(self, targets: Sequence[Array]) -> None:
         """Answers the observation that wants an answer: absolute targets (steps, 8) for each arm."""
-        session = self._required()
+        self._required()
         self._queries += 1
         self._infer_ns = int(1e9 * (time.monotonic() - self._asked_at))
         for publisher, rows in zip(self._chunks, targets):
-            publisher.publish(chunk_of(rows, self._stamp, self._queries, session.step_ns))
+            publisher.publish(chunk_of(rows, self._stamp, self._queries, self._step_ns))
         self._replies(m.ANSWERED, len(targets))
         self._say(m.READY)
 

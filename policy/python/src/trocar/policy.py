@@ -16,6 +16,11 @@ Array = NDArray[np.float64]
 #: A quaternion whose length is this near to 1 stays as it is, to the bit: the gate takes far worse ones.
 _UNIT_TOLERANCE = 1e-6
 
+#: Time from one observation of a session to the next: a policy step, ns.
+POLICY_STEP_NS = 40_000_000
+#: Allowed times between two rows of an answer, ns: what the gate takes.
+STEP_NS_MIN, STEP_NS_MAX = 1_000_000, 1_000_000_000
+
 #: Numbers in an absolute action of one arm: x, y, z (m), quaternion x, y, z, w in the RCM frame, jaw (rad).
 ABSOLUTE = 8
 #: Numbers in a relative one: translation from the tip at the observation (m, axes of the RCM frame), rotation vector in the frame of that
@@ -85,7 +90,8 @@ class Observation:
     #: What is to be done, in words: what ``--instruction`` says, or else the task's name, as a dataset's ``task`` has it.
     instruction: str = ""
     #: What of the answer before is still to come, for policies whose chunks overlap (real-time chunking): of each arm the absolute targets
-    #: (steps, 8), row k due k steps after this observation. No rows at an episode's first query, or if none is left.
+    #: (steps, 8), row k due k steps of the policy's after this observation; between two rows of that answer, what lies evenly between them.
+    #: No rows at an episode's first query, or if none is left.
     left_over: tuple[Array, ...] = ()
 
 
@@ -97,7 +103,7 @@ class Policy(Protocol):
     """A policy. It may also have ``reset(seed)`` and, if it asks for a history, ``observe(observation)``."""
 
     def infer(self, observation: Observation) -> Answer:
-        """Targets for each arm: row k is due k steps of 40 ms after the observation."""
+        """Targets for each arm: row k is due k steps after the observation, of 40 ms each or of the ``step_ns`` that it is served with."""
         ...
 
 
@@ -180,6 +186,38 @@ def _targets(index: int, given: Any, arm: Arm) -> Array:
     actions = actions.copy()
     actions[off, 3:7] /= length[off, None]
     return actions
+
+
+def checked_step_ns(step_ns: int) -> int:
+    """`step_ns`, the time between two rows of an answer, if there can be such rows.
+
+    Raises ValueError if not.
+    """
+    if not STEP_NS_MIN <= step_ns <= STEP_NS_MAX:
+        raise ValueError(f"step_ns = {step_ns}: allowed are {STEP_NS_MIN} to {STEP_NS_MAX} (1 ms to 1 s)")
+    return step_ns
+
+
+def later(rows: Array, past_ns: int, step_ns: int) -> Array:
+    """What of the absolute targets `rows` (steps, 8), which are `step_ns` apart, is still to come `past_ns` after the first: (fewer steps, 8).
+
+    Where a row is due between two of `rows`, position and jaw are interpolated linearly, the rotation along the shortest arc.
+    """
+    past, rest_ns = divmod(past_ns, step_ns)
+    if rest_ns == 0:
+        return rows[past:]
+    return _between(rows[past:-1], rows[past + 1 :], rest_ns / step_ns)
+
+
+def _between(before: Array, after: Array, share: float) -> Array:
+    mixed = (1.0 - share) * before + share * after
+    cosine = np.sum(before[:, 3:7] * after[:, 3:7], axis=1, keepdims=True)
+    angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
+    # sin(part * angle) / sin(angle), which is `part` of no angle; its sign that of the nearer of the two quaternions that are one rotation.
+    first, second = (part * np.sinc(part * angle / np.pi) / np.sinc(angle / np.pi) for part in (1.0 - share, share))
+    turned = first * before[:, 3:7] + np.copysign(second, cosine) * after[:, 3:7]
+    mixed[:, 3:7] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    return mixed
 
 
 def chunk_of(targets: Array, observed_at: int, sequence: int, step_ns: int) -> Chunk:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from ..server import serve
-from .checkpoint import CheckpointError, check_served, convert, recipe_of
+from .checkpoint import CheckpointError, check_served, convert, recipe_of, step_ns_of
 
 _DESCRIPTION = "Policies of LeRobot for Trocar, and Trocar's for LeRobot."
 
@@ -38,6 +38,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="STEPS",
         help="policy steps of 40 ms between queries; if not given, as trocar.json in the folder says, or half of what LeRobot would execute",
     )
+    server.add_argument(
+        "--fps",
+        type=int,
+        help="steps a second of what it answers, the frames a second of the dataset that it was trained on; if not given, as trocar.json in the "
+        "folder says, or the dataset that train_config.json names",
+    )
     server.add_argument("--device", default="cpu", help="where the network computes (default: cpu)")
     server.add_argument("--threads", type=int, default=1, help="threads of the network on the CPU (default: 1)")
     server.add_argument("--sessions", type=int, help="end after so many sessions; if not given, Ctrl-C ends it")
@@ -49,16 +55,17 @@ def _parser() -> argparse.ArgumentParser:
 
 def _serve(options: argparse.Namespace) -> None:
     check_served(options.checkpoint)
+    step_ns = step_ns_of(options.checkpoint, options.fps)
     import torch
 
     from .model import load
 
     torch.set_num_threads(options.threads)
-    policy, query_every = load(options.checkpoint, options.device)
+    policy, query_every = load(options.checkpoint, step_ns, options.device)
     recipe = recipe_of(options.checkpoint) or {}
     mode = recipe.get("aggregation", {}).get("mode", "newest")
     wanted = f"--policy external:{options.name} --set control.aggregation.mode={mode}"
-    print(f"{options.checkpoint}: serving; trocar run {wanted}", file=sys.stderr, flush=True)
+    print(f"{options.checkpoint}: serving, {1e9 / step_ns:.4g} steps a second; trocar run {wanted}", file=sys.stderr, flush=True)
     serve(
         policy,
         options.name,
@@ -66,6 +73,7 @@ def _serve(options: argparse.Namespace) -> None:
         query_every=options.query_every or query_every,
         history=policy.history,
         arms=policy.arms,
+        step_ns=step_ns,
         sessions=options.sessions,
         title=f"LeRobot {options.checkpoint.name}",
     )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..messages import CHUNK_STEPS_MAX, JOINT_COUNT
-from ..policy import ABSOLUTE, RELATIVE, Array, Arm, Observation, PolicyError
+from ..policy import ABSOLUTE, POLICY_STEP_NS, RELATIVE, Array, Arm, Observation, PolicyError
 
 Floats = NDArray[np.float32]
 
@@ -51,16 +51,28 @@ class Features:
 
 
 class ServedPolicy:
-    """Serves `model`; ``reset(seed)`` forgets what it was shown and calls `seeded`."""
+    """Serves `model`, whose rows and whose observations are `step_ns` apart; ``reset(seed)`` forgets what it was shown and calls `seeded`.
 
-    def __init__(self, model: Model, features: Features, seeded: Callable[[int], None] | None = None) -> None:
+    A session's observations are 40 ms apart; of those the model is shown the nearest to each instant of its own.
+
+    Raises PolicyError if the features are no robot's, or two instants of the history would be nearest to the same observation.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        features: Features,
+        seeded: Callable[[int], None] | None = None,
+        step_ns: int = POLICY_STEP_NS,
+    ) -> None:
         self.features = features
         self.arms = features.arms
         self.cameras = list(features.images)
-        self.history = features.steps - 1
+        self.step_ns = step_ns
+        self.history = _history(features.steps, step_ns)
         self._model = model
         self._seeded = seeded
-        self._seen: deque[dict[str, Floats]] = deque(maxlen=features.steps)
+        self._seen: deque[tuple[int, dict[str, Floats]]] = deque(maxlen=self.history + 1)
 
     def reset(self, seed: int) -> None:
         """An episode begins."""
@@ -70,13 +82,13 @@ class ServedPolicy:
 
     def observe(self, observation: Observation) -> None:
         """Remembers what precedes a query."""
-        self._seen.append(self.inputs(observation))
+        self._seen.append((observation.stamp_ns, self.inputs(observation)))
 
     def infer(self, observation: Observation) -> list[Array]:
         """The chunk of each arm."""
-        self._seen.append(self.inputs(observation))
-        # An episode's first observation stands for those before it.
-        seen = [self._seen[0]] * (self.features.steps - len(self._seen)) + list(self._seen)
+        self.observe(observation)
+        # Oldest first; an episode's first observation stands for those before it.
+        seen = [self._nearest(observation.stamp_ns - back * self.step_ns) for back in reversed(range(self.features.steps))]
         if self.features.steps == 1:
             batch = {name: value[None] for name, value in seen[0].items()}
         else:
@@ -85,6 +97,9 @@ class ServedPolicy:
         if rows.ndim != 2 or rows.shape[1] != self.features.action:
             raise PolicyError(f"the model answers with shape {rows.shape}: (steps, {self.features.action}) is wanted")
         return list(np.split(rows[:CHUNK_STEPS_MAX], self.arms, axis=1))
+
+    def _nearest(self, stamp_ns: int) -> dict[str, Floats]:
+        return min(self._seen, key=lambda seen: abs(seen[0] - stamp_ns))[1]
 
     def inputs(self, observation: Observation) -> dict[str, Floats]:
         """What the model is shown of `observation`: channels first, 0 to 1."""
@@ -96,6 +111,17 @@ class ServedPolicy:
             image = area_average(observation.frames[camera].colour, size)
             shown[IMAGES + camera] = np.ascontiguousarray(image.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
         return shown
+
+
+def _history(steps: int, step_ns: int) -> int:
+    """The policy steps before a query that reach back to the first of `steps` observations, `step_ns` apart."""
+    nearest = [(2 * back * step_ns + POLICY_STEP_NS) // (2 * POLICY_STEP_NS) for back in range(steps)]
+    if any(2 * abs(found * POLICY_STEP_NS - back * step_ns) > step_ns for back, found in enumerate(nearest)):
+        raise PolicyError(
+            f"it is shown {steps} observations at once, {step_ns / 1e6:g} ms apart: those of a session are {POLICY_STEP_NS // 1_000_000} ms "
+            "apart, too far for that"
+        )
+    return nearest[-1]
 
 
 def joined(arms: tuple[Arm, ...], numbers: Callable[[Arm], Array]) -> Floats:

@@ -15,10 +15,13 @@ from lerobot.envs.utils import freeze_after_episode_end, parse_camera_names
 
 from ..env import TASKS, TrocarEnv
 from ..messages import JOINT_COUNT
-from ..policy import ABSOLUTE
+from ..policy import ABSOLUTE, POLICY_STEP_NS
 
 #: Beyond every task's time limit, which ends an episode by itself: a minute.
 _EPISODE_STEPS_MAX = 1500
+
+#: Steps of an environment a second.
+_FPS = 1_000_000_000 // POLICY_STEP_NS
 
 
 @EnvConfig.register_subclass("trocar")
@@ -28,7 +31,8 @@ class TrocarEnvConfig(EnvConfig):
 
     #: One task, or several with commas between them.
     task: str | None = "needle-lift"
-    fps: int = 25
+    #: Steps a second, 25: an environment has no other.
+    fps: int = _FPS
     #: Cameras that the policy sees, with commas between them.
     cameras: str = "endoscope"
     observation_height: int = 512
@@ -46,6 +50,11 @@ class TrocarEnvConfig(EnvConfig):
 
     def __post_init__(self) -> None:
         """The features of the tasks, which must have the same number of arms."""
+        if self.fps != _FPS:
+            raise ValueError(
+                f"--env.fps={self.fps}: allowed is {_FPS}, the steps a second of every task; a policy of another rate plays at its own by "
+                "python -m trocar.lerobot serve"
+            )
         counts = {TASKS[task] for task in self.tasks}
         if len(counts) != 1:
             raise ValueError(f"--env.task={self.task}: the tasks differ in their number of arms")

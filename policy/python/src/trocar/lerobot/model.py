@@ -14,7 +14,7 @@ from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 
 from . import register
 from .adapter import IMAGES, STATE, Features, Floats, ServedPolicy
-from .checkpoint import CheckpointError, convert, recipe_of, wants_conversion
+from .checkpoint import CheckpointError, convert, policy_steps, recipe_of, wants_conversion
 
 
 class LoadedModel:
@@ -49,7 +49,7 @@ class LoadedModel:
 
     @property
     def query_every(self) -> int:
-        """Steps from one query to the next: half of those that it would execute, so that a late answer still meets the one before."""
+        """Its steps from one query to the next: half of those that it would execute, so that a late answer still meets the one before."""
         return max(1, int(getattr(self._config, "n_action_steps", 1)) // 2)
 
     def __call__(self, batch: Mapping[str, Floats], instruction: str) -> Floats:
@@ -67,12 +67,15 @@ class LoadedModel:
         self.policy.reset()
 
 
-def load(folder: Path, device: str = "cpu") -> tuple[ServedPolicy, int]:
-    """The policy in `folder`, LeRobot's or Trocar's, to be served; and its policy steps from one query to the next."""
+def load(folder: Path, step_ns: int, device: str = "cpu") -> tuple[ServedPolicy, int]:
+    """The policy in `folder`, LeRobot's or Trocar's, whose steps last `step_ns`, to be served.
+
+    And the policy steps from one query to the next.
+    """
     register()
     recipe = recipe_of(folder)
     with tempfile.TemporaryDirectory() as made:
         loaded = convert(folder, Path(made) / "converted") if wants_conversion(folder) else folder
         model = LoadedModel(loaded, device)
-    every = int(recipe["query_every_steps"]) if recipe is not None else model.query_every
-    return ServedPolicy(model, model.features, model.seeded), every
+    every = int(recipe["query_every_steps"]) if recipe is not None else policy_steps(model.query_every, step_ns)
+    return ServedPolicy(model, model.features, model.seeded, step_ns), every

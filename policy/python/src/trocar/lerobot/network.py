@@ -16,7 +16,7 @@ from lerobot.processor import ObservationProcessorStep, ProcessorStepRegistry
 from torch import Tensor, nn
 from torchvision.models._utils import IntermediateLayerGetter
 
-from ..policy import ABSOLUTE, RELATIVE
+from ..policy import ABSOLUTE, POLICY_STEP_NS, RELATIVE
 from .adapter import TIP_POSE
 from .checkpoint import POLICY_TYPE
 
@@ -35,6 +35,17 @@ class TrocarACTConfig(ACTConfig):
     backbone_stages: int = 4
     #: Whether the network answers relative to the tip at the observation.
     relative: bool = True
+    #: Time between two steps of a chunk, ns.
+    step_ns: int = POLICY_STEP_NS
+
+    def __post_init__(self) -> None:
+        """LeRobot's own checks; its temporal ensembling mixes chunks whose steps are the environment's."""
+        super().__post_init__()
+        if self.temporal_ensemble_coeff is not None and self.step_ns != POLICY_STEP_NS:
+            raise ValueError(
+                f"temporal_ensemble_coeff = {self.temporal_ensemble_coeff} with step_ns = {self.step_ns}: allowed is null, or steps of "
+                f"{POLICY_STEP_NS}"
+            )
 
 
 class TrocarACTPolicy(ACTPolicy):
@@ -64,6 +75,16 @@ class TrocarACTPolicy(ACTPolicy):
         actions = super().predict_action_chunk(batch) * self.action_std + self.action_mean
         return absolute(actions, batch[TIP_POSE], self.arms) if self.config.relative else actions
 
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Tensor]) -> Tensor:
+        """The next absolute action (batch, 8 an arm) of an environment, whose steps are of 40 ms whatever those of a chunk."""
+        if self.config.step_ns == POLICY_STEP_NS:
+            return super().select_action(batch)
+        if not self._action_queue:
+            actions = resampled(self.predict_action_chunk(batch), self.arms, self.config.step_ns, POLICY_STEP_NS)
+            self._action_queue.extend(actions[:, : self.config.n_action_steps].transpose(0, 1))
+        return self._action_queue.popleft()
+
 
 def _backbone(config: TrocarACTConfig) -> nn.Module:
     norm: Any = torchvision.ops.FrozenBatchNorm2d
@@ -82,6 +103,28 @@ def absolute(actions: Tensor, tips: Tensor, arms: int) -> Tensor:
     turned = torch.cat([0.5 * torch.sinc(half / torch.pi) * vector, torch.cos(half)], dim=-1)
     quaternion = _product(tip[..., 3:7].expand_as(turned), turned)
     return torch.cat([tip[..., :3] + rows[..., :3], quaternion, rows[..., 6:]], dim=-1).flatten(-2)
+
+
+def resampled(actions: Tensor, arms: int, from_ns: int, to_ns: int) -> Tensor:
+    """Absolute actions (batch, steps, 8 an arm) that are `from_ns` apart at every `to_ns` from the first on, up to the last.
+
+    Between two of them position and jaw are interpolated linearly, the rotation along the shortest arc.
+    """
+    last = actions.shape[1] - 1
+    due = torch.arange(last * from_ns // to_ns + 1, device=actions.device) * to_ns
+    index = due // from_ns
+    share = ((due % from_ns).to(actions.dtype) / from_ns)[:, None, None]
+    rows = actions.unflatten(-1, (arms, ABSOLUTE))
+    before, after = rows[:, index], rows[:, (index + 1).clamp(max=last)]
+    mixed = torch.lerp(before, after, share)
+    first, second = before[..., 3:7], after[..., 3:7]
+    cosine = (first * second).sum(-1, keepdim=True)
+    angle = torch.arccos(cosine.abs().clamp(max=1.0))
+    # sin(part * angle) / sin(angle), which is `part` of no angle; its sign that of the nearer of the two quaternions that are one rotation.
+    weights = [part * torch.sinc(part * angle / torch.pi) / torch.sinc(angle / torch.pi) for part in (1 - share, share)]
+    turned = weights[0] * first + torch.copysign(weights[1], cosine) * second
+    turned = turned / torch.linalg.vector_norm(turned, dim=-1, keepdim=True)
+    return torch.cat([mixed[..., :3], turned, mixed[..., 7:]], dim=-1).flatten(-2)
 
 
 def _product(a: Tensor, b: Tensor) -> Tensor:
