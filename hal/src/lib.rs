@@ -21,7 +21,7 @@ pub use chunk::{Chunk, TipTarget};
 pub use joints::{JOINT_COUNT, JointVector, Pose};
 pub use mesh::Mesh;
 pub use per_arm::{ARMS_MAX, PerArm};
-pub use policy::{ArmObservation, Observation, Policy, PolicyError};
+pub use policy::{ArmObservation, Observation, POLICY_STEP_NS, Policy, PolicyError};
 pub use rig::{Measured, Period, Rig, Setpoint};
 pub use tail::SafeTail;
 pub use time::{TICK_NS, TICK_S, TimeNs};

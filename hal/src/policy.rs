@@ -1,6 +1,9 @@
 //! The interface to a policy: observation in, a chunk for each arm out.
 
-use crate::{ArmState, Chunk, FrameRef, Pose, TipTarget};
+use crate::{ArmState, Chunk, FrameRef, Pose, TICK_NS, TipTarget};
+
+/// One policy step: the time between two observations that a run may show a policy, ns. The steps of its chunks may be others.
+pub const POLICY_STEP_NS: u64 = 40 * TICK_NS;
 
 /// What a policy sees of one arm at one instant.
 #[derive(Clone, Copy, Debug)]
@@ -33,7 +36,7 @@ pub trait Policy {
     /// Forgets the past; everything random afterwards depends on `seed`.
     fn reset(&mut self, seed: u64);
 
-    /// How many policy steps before a query it wants to have observed too; see [`observe`](Self::observe).
+    /// How many policy steps ([`POLICY_STEP_NS`]) before a query it wants to have observed too; see [`observe`](Self::observe).
     fn history_steps(&self) -> u64 {
         0
     }

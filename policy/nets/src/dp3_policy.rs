@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::path::Path;
 
-use hal::{Chunk, Observation, Policy, PolicyError, TimeNs};
+use hal::{Chunk, Observation, POLICY_STEP_NS, Policy, PolicyError, TimeNs};
 use tch::{Device, TchError, Tensor};
 
 use crate::checkpoint::{Cause, CheckpointError, Recipe, load_dp3};
@@ -15,8 +15,8 @@ use trocar_data::perception::{CloudRecipe, Point};
 
 /// A DP3 policy that was loaded from a folder.
 ///
-/// It sees as many observations as its configuration says, a policy step apart; of one that is missing, the next newer
-/// one takes the place, as in training at the beginning of an episode.
+/// It sees as many observations as its configuration says, a step of its recipe apart, or as nearly as a run shows them; of one that
+/// is missing, the next newer one takes the place, as in training at the beginning of an episode.
 #[derive(Debug)]
 pub struct Dp3Policy {
     config: Dp3Config,
@@ -106,7 +106,7 @@ impl Dp3Policy {
         &self.cloud
     }
 
-    /// Observations that the network sees, a policy step apart.
+    /// Observations that the network sees, a step of its recipe apart.
     #[must_use]
     pub fn observations(&self) -> usize {
         length(self.config.n_obs_steps)
@@ -153,24 +153,24 @@ impl Dp3Policy {
     fn remember(&mut self, seen: ObservationStep) {
         self.seen.retain(|other| other.stamp < seen.stamp);
         self.seen.push_back(seen);
-        while self.seen.len() > self.observations() {
+        while self.seen.len() as u64 > self.history_steps() + 1 {
             let _forgotten = self.seen.pop_front();
         }
     }
 
-    /// The remembered observations at the newest one's time and whole steps before, oldest first.
+    /// The remembered observations nearest to the newest one's time and whole steps before, oldest first.
     fn history(&self) -> Vec<&ObservationStep> {
         let mut history = Vec::new();
         let Some(mut newest) = self.seen.back() else {
             return history;
         };
-        let now = newest.stamp.0;
+        let (now, step_ns) = (newest.stamp.0, self.interface.recipe.step_ns);
+        let apart_ns = step_ns.max(POLICY_STEP_NS) / 2;
         for steps in 0..self.observations() as u64 {
-            let due = now.saturating_sub(steps.saturating_mul(self.interface.recipe.step_ns));
-            let near = |seen: &&ObservationStep| {
-                seen.stamp.0.abs_diff(due) <= self.interface.recipe.step_ns / 2
-            };
-            newest = self.seen.iter().find(near).unwrap_or(newest);
+            let due = now.saturating_sub(steps.saturating_mul(step_ns));
+            let off = |seen: &&ObservationStep| seen.stamp.0.abs_diff(due);
+            let near = self.seen.iter().filter(|seen| off(seen) <= apart_ns);
+            newest = near.min_by_key(off).unwrap_or(newest);
             history.push(newest);
         }
         history.reverse();
@@ -191,7 +191,8 @@ impl Policy for Dp3Policy {
     }
 
     fn history_steps(&self) -> u64 {
-        self.observations().saturating_sub(1) as u64
+        let recipe = &self.interface.recipe;
+        recipe.policy_steps_before(self.observations())
     }
 
     fn observe(&mut self, observation: &Observation<'_>) -> Result<(), PolicyError> {

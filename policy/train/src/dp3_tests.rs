@@ -175,9 +175,13 @@ pub(super) fn recipe() -> Recipe {
     }
 }
 
-fn save(folder: &Path, trained: &Trained<Dp3>) {
+fn save(folder: &Path, trained: &Trained<Dp3>, step_ns: u64) {
+    let recipe = Recipe {
+        step_ns,
+        ..recipe()
+    };
     let (dp3, statistics) = (&trained.network, &trained.statistics);
-    checkpoint::save_dp3(folder, dp3, &cloud(), statistics, &recipe(), Precision::F32).unwrap();
+    checkpoint::save_dp3(folder, dp3, &cloud(), statistics, &recipe, Precision::F32).unwrap();
 }
 
 /// What the policy sees at a step.
@@ -230,7 +234,7 @@ fn training_lowers_the_loss_and_repeats_itself() {
     assert_ne!(first.curve.rows[0], other.curve.rows[0]);
 
     let folder = folder("disk");
-    save(&folder, &first);
+    save(&folder, &first, STEP_NS);
     let loaded = checkpoint::load_dp3(&folder, Device::Cpu).unwrap();
     assert_eq!(loaded.cloud, cloud());
     for (key, tensor) in first.network.parameters().iter() {
@@ -248,6 +252,18 @@ fn training_lowers_the_loss_and_repeats_itself() {
     assert_ne!(both, fresh(3, &[]), "the step before is seen");
     assert_eq!(both, fresh(3, &[0, 1, 2, 3]), "older steps are not");
     assert_eq!(fresh(3, &[]), fresh(3, &[1]), "a gap is no history");
+
+    // Of 15 steps a second the one before is 67 ms ago: nearest to it is what was seen 80 ms ago, in a run that shows it every 40.
+    save(&folder, &first, 66_666_667);
+    let mut slow = Dp3Policy::load(&folder, Device::Cpu).unwrap();
+    assert_eq!((policy.history_steps(), slow.history_steps()), (1, 2));
+    let mut fresh = |shown: &[u16]| {
+        slow.reset(3);
+        answer(&mut slow, shown)
+    };
+    assert_eq!(fresh(&[2, 3]), fresh(&[2]));
+    assert_ne!(fresh(&[2, 3]), fresh(&[3]));
+    assert_eq!(fresh(&[1]), fresh(&[]));
     fs::remove_dir_all(&folder).unwrap();
     fs::remove_dir_all(&data).unwrap();
 }
@@ -295,7 +311,7 @@ fn missing_depth_and_damaged_files_are_refused() {
     };
     let trained = train(&dataset, &short).unwrap();
     let folder = folder("frames");
-    save(&folder, &trained);
+    save(&folder, &trained, STEP_NS);
     let mut policy = Dp3Policy::load(&folder, Device::Cpu).unwrap();
     let (arm, mut frame) = seen(0);
     let mut infer = |frame: &CameraFrame, count: usize| {
@@ -353,7 +369,7 @@ fn short_occlusion_is_trained_on_and_blindness_refused() {
     );
 
     let folder = folder("hidden-policy");
-    save(&folder, &trained);
+    save(&folder, &trained, STEP_NS);
     let mut policy = Dp3Policy::load(&folder, Device::Cpu).unwrap();
     let (arm, mut frame) = seen(0);
     frame.instance.fill(1);

@@ -14,7 +14,7 @@ use super::error::{Cause, CheckpointError};
 use super::recipe::Recipe;
 use super::tensors::Precision;
 use super::{CONFIG, RECIPE, load_recipe, processors};
-use crate::dimension::dimension;
+use crate::dimension::{dimension, length};
 use crate::dp3::{Dp3, Dp3Config, LimitsNormaliser};
 use crate::parameters::ParameterSource;
 use trocar_data::perception::CloudRecipe;
@@ -108,10 +108,10 @@ pub fn load_dp3(folder: &Path, device: Device) -> Result<Dp3Checkpoint, Checkpoi
     })
 }
 
-/// The observations before the newest one that the policy in `folder`, of this `recipe`, looks at.
+/// The policy steps before the newest observation in which the policy in `folder`, of this `recipe`, wants to have observed.
 pub(crate) fn history_steps(folder: &Path, recipe: &Recipe) -> Result<u64, CheckpointError> {
     let observations = read_config(folder, recipe)?.network.n_obs_steps;
-    Ok(u64::try_from(observations - 1).unwrap_or(0))
+    Ok(recipe.policy_steps_before(length(observations)))
 }
 
 fn read_config(folder: &Path, recipe: &Recipe) -> Result<Dp3File, CheckpointError> {

@@ -52,8 +52,8 @@ const CONFIG: &str = "config.json";
 pub const WEIGHTS: &str = "model.safetensors";
 pub(crate) const RECIPE: &str = "trocar.json";
 
-/// Times between two steps of a chunk, ns: 1 kHz to one in ten seconds.
-const STEP_NS: std::ops::RangeInclusive<u64> = 1_000_000..=10_000_000_000;
+/// Times between two steps of a chunk, ns, as the gate takes them: 1 kHz to 1 Hz.
+const STEP_NS: std::ops::RangeInclusive<u64> = 1_000_000..=1_000_000_000;
 
 /// How weights are stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -64,7 +64,7 @@ fn recipes_that_outlast_their_chunks_are_refused() {
             "trocar.json",
             "\"step_ns\": 40000000",
             "\"step_ns\": 1",
-            "step_ns = 1 is not supported, expected 1000000 to 10000000000",
+            "step_ns = 1 is not supported, expected 1000000 to 1000000000",
         ),
         (
             "config.json",

@@ -1,5 +1,6 @@
 //! `trocar.json`: what a policy needs besides LeRobot's files, and its provenance.
 
+use hal::POLICY_STEP_NS;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -189,4 +190,12 @@ pub struct Recipe {
     /// The options of the training and its outcome, for people.
     #[serde(default)]
     pub training: Value,
+}
+
+impl Recipe {
+    /// How many policy steps ([`POLICY_STEP_NS`]) the oldest of so many `observations`, a step of the recipe apart, is before the newest.
+    pub(crate) const fn policy_steps_before(&self, observations: usize) -> u64 {
+        let span_ns = (observations as u64).saturating_sub(1) * self.step_ns;
+        (span_ns + POLICY_STEP_NS / 2) / POLICY_STEP_NS
+    }
 }

@@ -19,13 +19,13 @@ use trocar_control::kinematics;
 use trocar_log::TickRecord;
 
 /// Control periods in one policy step.
-pub const STEP_TICKS: u64 = 40;
+pub const STEP_TICKS: u64 = hal::POLICY_STEP_NS / hal::TICK_NS;
 
 /// Ticks from an observation to a network's chunk in lockstep: about what it takes in real time on two shared cores.
 pub const NETWORK_LATENCY_TICKS: u64 = 4 * STEP_TICKS;
 
 /// One policy step, ns.
-pub const STEP_NS: u64 = STEP_TICKS * hal::TICK_NS;
+pub const STEP_NS: u64 = hal::POLICY_STEP_NS;
 
 /// An arm that measured `state`, as a policy sees it.
 #[must_use]
