@@ -76,6 +76,17 @@ pub const JAW_MIN: f64 = -0.698_132;
 /// See [`JAW_MIN`].
 pub const JAW_MAX: f64 = 1.396_26;
 
+/// Lower mechanical stops, rad (m), jaw last: the joint limits are the stops, but closed fingers stop each other at 0, above [`JAW_MIN`].
+pub const STOP_MIN: [f64; JOINT_COUNT + 1] = jaw_last(POSITION_MIN, 0.0);
+
+/// Upper mechanical stops, rad (m), jaw last.
+pub const STOP_MAX: [f64; JOINT_COUNT + 1] = jaw_last(POSITION_MAX, JAW_MAX);
+
+const fn jaw_last(joints: [f64; JOINT_COUNT], jaw: f64) -> [f64; JOINT_COUNT + 1] {
+    let [yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw] = joints;
+    [yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw, jaw]
+}
+
 /// Joint effort limits from the files, N m (N), jaw last.
 pub const EFFORT_MAX: [f64; JOINT_COUNT + 1] =
     [3.316_101, 3.316_101, 9.877_926, 0.33, 0.25, 0.20, 0.16];

@@ -20,14 +20,12 @@ struct Shared<T> {
 
 impl<T: Copy> Shared<T> {
     /// Applies `action` to a slot that the caller holds the number of.
-    fn with<R>(&self, slot: usize, action: impl FnOnce(&mut Option<T>) -> R) -> Option<R> {
-        match self.slots.get(slot)?.try_lock() {
-            Ok(mut value) => Some(action(&mut value)),
-            Err(TryLockError::Poisoned(poisoned)) => Some(action(&mut poisoned.into_inner())),
-            Err(TryLockError::WouldBlock) => {
-                debug_assert!(false, "slot {slot} is held by both sides");
-                None
-            }
+    #[expect(clippy::panic, reason = "a broken invariant of this module alone")]
+    fn with<R>(&self, slot: usize, action: impl FnOnce(&mut Option<T>) -> R) -> R {
+        match self.slots[slot].try_lock() {
+            Ok(mut value) => action(&mut value),
+            Err(TryLockError::Poisoned(poisoned)) => action(&mut poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => panic!("slot {slot} is held by both sides"),
         }
     }
 }
@@ -83,7 +81,7 @@ impl<T: Copy + Send> MailboxReader<T> {
             return None;
         }
         self.mine = self.shared.between.swap(self.mine, Ordering::AcqRel) & SLOT;
-        self.shared.with(self.mine, |slot| *slot).flatten()
+        self.shared.with(self.mine, |slot| *slot)
     }
 
     /// Whether the writer is gone.

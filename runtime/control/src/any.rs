@@ -39,15 +39,21 @@ impl AnyController {
         }
     }
 
-    /// One control period; `None`, and no change of state, if `inputs` have another number of arms, as a log may.
-    pub fn tick(&mut self, inputs: &PerArm<TickInput<'_>>) -> Option<PerArm<TickOutput>> {
+    /// One control period of all arms, as [`Controller::tick_arms`].
+    ///
+    /// # Panics
+    /// If `inputs` have another number of arms than [`Self::arm_count`]. A session's rig moves the arms of the controller's configuration; who
+    /// reads inputs from a log compares the numbers first.
+    #[expect(clippy::panic, reason = "a broken invariant, which no input reaches")]
+    pub fn tick(&mut self, inputs: &PerArm<TickInput<'_>>) -> PerArm<TickOutput> {
         match (self, inputs.second) {
-            (Self::One(controller), None) => Some(PerArm::one(controller.tick(&inputs.first))),
+            (Self::One(controller), None) => PerArm::one(controller.tick(&inputs.first)),
             (Self::Two(controller), Some(second)) => {
                 let [first, second] = controller.tick_arms(&[inputs.first, second]);
-                Some(PerArm::two(first, second))
+                PerArm::two(first, second)
             }
-            (Self::One(_), Some(_)) | (Self::Two(_), None) => None,
+            (Self::One(_), Some(_)) => panic!("inputs of two arms for a controller of one"),
+            (Self::Two(_), None) => panic!("inputs of one arm for a controller of two"),
         }
     }
 

@@ -4,6 +4,7 @@ use hal::{Chunk, PerArm};
 
 use super::header::RunOutcome;
 use super::record::LoggedTick;
+use trocar_control::TickInput;
 
 /// One tick of a log with all that belongs to it.
 #[derive(Clone, Copy, Debug)]
@@ -18,6 +19,22 @@ pub struct Step<'a> {
     pub dropped_before: u64,
     /// Whether the logger dropped a chunk that it was given.
     pub chunk_dropped: bool,
+}
+
+impl<'a> Step<'a> {
+    /// What the controller was given for each arm. A log may hold another number of arms than the configuration in it, so whoever gives this to
+    /// a controller compares the numbers first.
+    #[must_use]
+    pub fn inputs(&self) -> PerArm<TickInput<'a>> {
+        let now = self.tick.now;
+        let arms = self.tick.arms.zip(self.chunks);
+        arms.map(|(arm, chunk)| TickInput {
+            now,
+            measured: arm.measured,
+            chunk,
+            operator: arm.operator,
+        })
+    }
 }
 
 /// What is known at the end of a log.

@@ -51,7 +51,7 @@ pub(super) struct BetweenArms {
 /// Everything that a command is checked against.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Limits {
-    pub(super) axes: Vec<AxisLimits>,
+    pub(super) axes: [AxisLimits; AXES],
     pub(super) tip_speed_m_s: f64,
     pub(super) tip_angular_speed_rad_s: f64,
     /// How much further out an arm that was enabled outside may get, m.
@@ -126,12 +126,18 @@ fn arm(entry: &Entry<'_>) -> Result<ArmLimits, VerifyError> {
     })
 }
 
-fn axes(control: &Entry<'_>) -> Result<Vec<AxisLimits>, VerifyError> {
-    let names = JOINT_NAMES.into_iter().chain(["jaw"]).enumerate();
-    let axes = names.map(|(index, name)| axis(control, index, name));
-    let axes: Vec<_> = axes.collect::<Result<_, _>>()?;
-    debug_assert_eq!(axes.len(), AXES);
-    Ok(axes)
+fn axes(control: &Entry<'_>) -> Result<[AxisLimits; AXES], VerifyError> {
+    let axis = |index, name| axis(control, index, name);
+    let [yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw] = JOINT_NAMES;
+    Ok([
+        axis(0, yaw)?,
+        axis(1, pitch)?,
+        axis(INSERTION, insertion)?,
+        axis(3, roll)?,
+        axis(4, wrist_pitch)?,
+        axis(5, wrist_yaw)?,
+        axis(6, "jaw")?,
+    ])
 }
 
 fn between_arms(safety: &Entry<'_>) -> Result<BetweenArms, VerifyError> {

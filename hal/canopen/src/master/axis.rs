@@ -6,7 +6,7 @@ use super::answers::Answers;
 use super::plan::{ANSWER_BYTES, AxisPlan};
 use crate::cia301::NmtState;
 use crate::cia402::Status;
-use crate::number::{real, seconds, whole};
+use crate::number::{real, seconds};
 use hal::TimeNs;
 
 /// A drive's feedback in one cycle.
@@ -315,13 +315,12 @@ fn parse(data: &[u8]) -> Result<Feedback, Rejected> {
     })
 }
 
-/// `units` in counts, inside the axis's range; none if it is not finite.
+/// `units` in counts, inside the axis's range as its drive has it; none if it is not finite.
 pub(super) fn counts(plan: &AxisPlan, units: f64) -> Option<i32> {
-    if !units.is_finite() {
-        return None;
-    }
-    let inside = units.max(plan.range.0).min(plan.range.1);
-    i32::try_from(whole(inside * plan.counts_per_unit)).ok()
+    let (low, high) = plan.range_counts();
+    units
+        .is_finite()
+        .then(|| plan.position_counts(units).max(low).min(high))
 }
 
 #[cfg(test)]

@@ -40,7 +40,7 @@ pub struct AxisPlan {
     pub counts_per_unit: f64,
     /// Counts a turn of the motor, 608Fh: CiA 402 has the motor's greatest speed in turns a minute.
     pub counts_per_turn: u32,
-    /// Where it may be sent, units.
+    /// Where it may be sent, least and greatest, units; no further than the mechanical stops, see [`Self::settings`].
     pub range: (f64, f64),
     /// Greatest speed that is believed of it, units/s.
     pub speed_max: f64,
@@ -112,8 +112,8 @@ pub struct ArmPlan {
 
 impl AxisPlan {
     /// What its drive has to keep by itself: its range and a tenth more than its speed, so that the master's own limit comes first. A range
-    /// ends at the mechanical stops, but the jaw's begins below its own, where the fingers meet, by what presses them together; in actuator
-    /// space it holds every point of the joints' ranges, and so of two coupled axes some points that lie beyond a stop.
+    /// ends at the last count before the mechanical stops, but the jaw's begins below its own, where the fingers meet, by what presses them
+    /// together; in actuator space it holds every point of the joints' ranges, and so of two coupled axes some points that lie beyond a stop.
     #[must_use]
     pub fn settings(&self) -> AxisSettings {
         let speed = 1.1 * self.speed_max;
@@ -142,21 +142,20 @@ impl AxisPlan {
         (whole(self.speed_counts()), whole(self.settings().speed_max))
     }
 
-    /// Its range, counts.
+    /// The least and the greatest count within its range: the nearest counts may lie beyond its ends, which are mechanical stops.
     #[must_use]
     pub fn range_counts(&self) -> (i32, i32) {
         let (a, b) = (
-            self.position_counts(self.range.0),
-            self.position_counts(self.range.1),
+            self.range.0 * self.counts_per_unit,
+            self.range.1 * self.counts_per_unit,
         );
-        (a.min(b), a.max(b))
+        (whole_i32(a.min(b).ceil()), whole_i32(a.max(b).floor()))
     }
 
-    /// The position `units`, counts.
+    /// The count nearest to the position `units`, also outside of the range.
     #[must_use]
     pub fn position_counts(&self, units: f64) -> i32 {
-        let count = whole(units * self.counts_per_unit);
-        i32::try_from(count).unwrap_or(if count < 0 { i32::MIN } else { i32::MAX })
+        whole_i32(units * self.counts_per_unit)
     }
 
     /// A speed or an acceleration without a sign, counts/s or counts/s²; at least 1, which CiA 402 takes for the slowest.
@@ -169,6 +168,12 @@ impl AxisPlan {
         let count = whole(units * self.counts_per_unit.abs());
         u32::try_from(count).unwrap_or(u32::MAX)
     }
+}
+
+/// The count nearest to `count`; the ends of the range for what is beyond.
+fn whole_i32(count: f64) -> i32 {
+    let count = whole(count);
+    i32::try_from(count).unwrap_or(if count < 0 { i32::MIN } else { i32::MAX })
 }
 
 impl ArmPlan {

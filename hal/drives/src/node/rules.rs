@@ -20,7 +20,8 @@ const LOAD: i64 = 0x6461_6F6C;
 const SYNC_PRODUCER: i64 = 1 << 30;
 /// Bit 31 of a COB-ID: not in use.
 const INVALID: i64 = 1 << 31;
-/// Bits of a COB-ID that may change only while it is not in use. Bit 30 (no remote frames) may at any time: Lely's dcfgen clears it.
+/// Bits of a COB-ID that may change only while it is not in use: 0 to 29. Bit 30 of a TPDO (no remote frames) may at any time, and means nothing
+/// here, where frames are none of these: Lely's dcfgen writes it clear.
 const IDENTIFIER: i64 = 0x3FFF_FFFF;
 
 impl Node {
@@ -123,7 +124,7 @@ impl Node {
         }
     }
 
-    /// A COB-ID may change only while its valid bit (31) is set to "invalid", before or by the change.
+    /// A COB-ID may change only while its valid bit (31) says "invalid": the write before has set it, not the one that changes.
     fn unchanged_while_valid(&self, address: Address, number: i64) -> Result<(), AbortCode> {
         let old = self.dictionary.get(address);
         if old & INVALID == 0 && old & IDENTIFIER != number & IDENTIFIER {

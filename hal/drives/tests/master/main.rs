@@ -16,6 +16,7 @@ mod fuzz;
 mod homing;
 mod motion;
 mod settings;
+mod stops;
 mod transmit_queue;
 mod two_arms;
 mod unused;

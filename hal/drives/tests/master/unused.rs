@@ -121,6 +121,28 @@ fn pdo_in_use_keeps_its_identifier() {
     }
 }
 
+/// A TPDO that Lely's dcfgen has set up and stored, with bit 30 clear, becomes the master's, in whichever state it is.
+#[test]
+fn tpdo_stored_with_bit_30_clear_is_taken_over() {
+    let plan = plan(1, 2 * MS);
+    for stored in [0x183, INVALID | 0x183] {
+        let scanned = Offline::new(network(&plan), &plan).unwrap().scan();
+        let mut scanned = scanned.unwrap();
+        let net = scanned.bus_mut();
+        for raw in [INVALID | 0x183, stored] {
+            write(net, 0, node(2), index::tpdo(0, 1), &raw.to_le_bytes()).unwrap();
+        }
+        write(net, 0, node(2), index::STORE, b"save").unwrap();
+        let identified = scanned.check_identity().unwrap();
+        let mut homed = identified.map().unwrap().home().unwrap();
+        let after = read_number(homed.bus_mut(), 0, node(2), index::tpdo(0, 1));
+        assert_eq!(after, Ok(0x4000_0183), "{stored:x}");
+        let mut bench = Bench::of(homed.enable().unwrap(), &plan);
+        assert!(bench.cycles(20, 0.0).is_ok());
+        assert_eq!(bench.torques(), [true; TAIL_AXES]);
+    }
+}
+
 /// A drive that is to send the SYNC stops that before it gets another identifier.
 #[test]
 fn sync_producer_is_stopped_before_its_id_changes() {

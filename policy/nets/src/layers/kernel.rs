@@ -46,8 +46,8 @@ pub(super) fn panels(weight: &Tensor, order: &[i64]) -> Result<Vec<f32>, TchErro
 /// The part `index` of `count` parts of `all`, in whole lines; the last ones may be smaller or nothing.
 #[inline(always)]
 pub(super) fn share(all: &[f32], index: usize, count: usize) -> &[f32] {
-    debug_assert!(index < count, "part {index} of {count}");
-    let size = all.len().div_ceil(count.max(1)).next_multiple_of(LINE);
+    assert!(index < count, "part {index} of {count}");
+    let size = all.len().div_ceil(count).next_multiple_of(LINE);
     all.chunks(size.max(1)).nth(index).unwrap_or_default()
 }
 
@@ -128,5 +128,11 @@ mod tests {
                 assert_eq!(parts.collect::<Vec<_>>().concat(), &all[..length]);
             }
         }
+    }
+
+    #[test]
+    #[should_panic(expected = "part 3 of 3")]
+    fn a_share_beyond_the_last_is_a_defect() {
+        share(&[0.0; 64], 3, 3);
     }
 }

@@ -36,7 +36,7 @@ impl Slab {
             dimension(rows.len()),
             dimension(x.padded),
         ];
-        debug_assert!(rows.end <= y.padded, "rows of the volume");
+        assert!(rows.end <= y.padded, "rows of the volume");
         let options = (Kind::Float, like.device());
         Ok(Self {
             scores: Tensor::f_zeros(shape, options)?,

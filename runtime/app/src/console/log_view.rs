@@ -8,7 +8,7 @@ use axum::body::Bytes;
 use hal::config::Source;
 use hal::{ARM_NAMES, Chunk, Intrinsics, PerArm, Pose, TICK_NS, TimeNs};
 use rtrb::RingBuffer;
-use trocar_control::{AnyController, ControlConfig, OperatingState, TickInput};
+use trocar_control::{AnyController, ControlConfig, OperatingState};
 use trocar_log::live;
 use trocar_log::replay::ReplayError;
 use trocar_log::{LogEnd, LoggedItem, RunHeader, Step, TickRecord, read_items, read_steps};
@@ -437,17 +437,12 @@ impl Recomputed {
     }
 
     fn step(&mut self, step: &Step<'_>) {
-        let logged = step.tick;
-        let given = logged.arms.as_ref().zip(step.chunks);
-        let inputs: PerArm<TickInput<'_>> = given.map(|(arm, chunk)| TickInput {
-            now: logged.now,
-            measured: arm.measured,
-            chunk,
-            operator: arm.operator,
-        });
-        let Some(outputs) = self.controller.tick(&inputs) else {
+        let (logged, inputs) = (step.tick, step.inputs());
+        // A log may hold other arms than its configuration.
+        if inputs.count() != self.controller.arm_count() {
             return;
-        };
+        }
+        let outputs = self.controller.tick(&inputs);
         let mut record = TickRecord::new(logged.tick, inputs, outputs, logged.timing);
         for (arm, logged) in record.arms.iter_mut().zip(logged.arms.iter()) {
             // What was sent, whatever this controller makes of it.

@@ -16,8 +16,8 @@ use trocar_log::{TickRecord, TickTiming};
 use crate::mailbox::MailboxWriter;
 use crate::rt::MonotonicClock;
 
-/// The controller's tick in `period`: what the log keeps of it, and the set-points that answer it. Nothing if there are other arms than
-/// the controller's. Hot path: bounded, no allocation, no I/O.
+/// The controller's tick in `period` with what all of its arms measured: what the log keeps of it, and the set-points that answer it.
+/// Hot path: bounded, no allocation, no I/O.
 pub(crate) fn control(
     controller: &mut AnyController,
     period: &Period,
@@ -25,7 +25,7 @@ pub(crate) fn control(
     chunks: Option<&PerArm<Chunk>>,
     operator: Option<OperatorEvent>,
     clock: MonotonicClock,
-) -> Option<(TickRecord, PerArm<Setpoint>)> {
+) -> (TickRecord, PerArm<Setpoint>) {
     let now = period.now;
     let mut newest = chunks.into_iter().flat_map(PerArm::iter);
     let inputs = measured.map(|measured| TickInput {
@@ -37,16 +37,15 @@ pub(crate) fn control(
     let before = clock.now();
     let outputs = controller.tick(&inputs);
     let compute_ns = clock.now().since(before);
-    let outputs = outputs?;
     let timing = TickTiming {
         wake_ns: period.late_ns,
         compute_ns,
     };
     let setpoints = outputs.map(|output| (output.command, output.tail));
-    Some((
+    (
         TickRecord::new(now.tick(), inputs, outputs, timing),
         setpoints,
-    ))
+    )
 }
 
 /// A rig, and whoever else wants to know what its arms measure.

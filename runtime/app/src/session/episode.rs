@@ -174,7 +174,7 @@ impl Episode<'_> {
             }
             let chunks = deliveries.receive(tick);
             let operator = (tick == 0).then_some(OperatorEvent::Enable);
-            let ticked = rig::control(
+            let (record, setpoints) = rig::control(
                 running.controller,
                 &period,
                 measured,
@@ -182,7 +182,6 @@ impl Episode<'_> {
                 operator,
                 clock,
             );
-            let (record, setpoints) = ticked.ok_or_else(|| running.other_arms())?;
             running.source.ticked(&record);
             period = running.rig.exchange(Some(&setpoints));
             for (arm, chunk) in chunks.iter().flat_map(PerArm::iter).enumerate() {

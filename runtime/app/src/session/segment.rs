@@ -142,6 +142,10 @@ pub(super) struct Classes {
 
 impl Classes {
     pub(super) fn new(settings: &SegmenterSettings, groups: &Groups) -> Result<Self, SessionError> {
+        assert!(
+            settings.classes.len() <= usize::from(BACKGROUND),
+            "classes beyond the background's number"
+        );
         let mut classes = Self {
             labels: vec![0; 256],
             groups: vec![0; 256],
@@ -156,11 +160,6 @@ impl Classes {
             classes.labels[index] = label;
             classes.groups[index] = group;
         }
-        debug_assert_eq!(
-            classes.labels[usize::from(BACKGROUND)],
-            0,
-            "room for the background"
-        );
         Ok(classes)
     }
 

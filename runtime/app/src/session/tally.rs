@@ -230,7 +230,7 @@ mod tests {
             operator: None,
         };
         let inputs = PerArm::two(input(), input());
-        let outputs = controller.tick(&inputs).unwrap();
+        let outputs = controller.tick(&inputs);
         TickRecord::new(0, inputs, outputs, TickTiming::default())
     }
 

@@ -1,10 +1,11 @@
 //! Operator, faults and drives, seen from outside.
 
-use hal::{ArmError, ArmState, TimeNs, TipTarget};
+use hal::{ArmError, ArmState, PerArm, TimeNs, TipTarget};
 use nalgebra::Vector3;
 
 use super::{Bench, config, pose};
-use crate::{Controller, Fault, GateDecision, OperatingState, OperatorEvent, TickInput};
+use crate::{AnyController, ControlConfig, Controller};
+use crate::{Fault, GateDecision, OperatingState, OperatorEvent, TickInput};
 
 fn moving() -> Bench {
     let mut bench = Bench::enabled(&config());
@@ -240,6 +241,36 @@ fn a_controller_is_for_as_many_arms_as_the_configuration_has() {
         "the configuration has 2 arms, the controller is for 1"
     );
     assert!(Controller::<2>::for_arms(&config()).is_err());
+}
+
+/// A tick of a controller for the arms of `config` with inputs of `count` arms.
+fn tick_of(count: usize, config: &ControlConfig) -> usize {
+    let input = TickInput {
+        now: TimeNs(0),
+        measured: Ok(ArmState::at_rest(TimeNs(0), super::home(), 0.2)),
+        chunk: None,
+        operator: None,
+    };
+    let inputs = PerArm::collect((0..count).map(|_| input)).unwrap();
+    AnyController::new(config).unwrap().tick(&inputs).count()
+}
+
+#[test]
+fn each_arm_of_a_tick_is_answered() {
+    assert_eq!(tick_of(1, &config()), 1);
+    assert_eq!(tick_of(2, &crate::rows::tests::two_arms()), 2);
+}
+
+#[test]
+#[should_panic(expected = "inputs of two arms for a controller of one")]
+fn a_second_arm_of_another_configuration_is_no_input() {
+    tick_of(2, &config());
+}
+
+#[test]
+#[should_panic(expected = "inputs of one arm for a controller of two")]
+fn a_missing_second_arm_is_no_input() {
+    tick_of(1, &crate::rows::tests::two_arms());
 }
 
 /// Who takes over is followed at once, from where the arm is and as it moves; whoever gets the arm back is followed from its first answer

@@ -15,8 +15,7 @@ use crate::safety;
 use crate::{LogEnd, LogError, LoggedTick, RunHeader, RunLog, Step, read_steps};
 use trocar_control::second_opinion;
 use trocar_control::{
-    AnyController, CommandHash, ControlConfig, InputHash, QpOutcome, TickInput, TickOutput,
-    TickReport,
+    AnyController, CommandHash, ControlConfig, InputHash, QpOutcome, TickOutput, TickReport,
 };
 
 pub use arm::RecordedArm;
@@ -280,18 +279,13 @@ impl Recomputed {
 
     /// Recomputes one tick of all arms and compares.
     fn tick(&mut self, step: &Step<'_>) -> Option<Difference> {
-        let (logged, chunks) = (step.tick, &step.chunks);
+        let logged = step.tick;
         self.hash_inputs(step);
-        let given = logged.arms.as_ref().zip(*chunks);
-        let outputs = self.controller.tick(&given.map(|(arm, chunk)| TickInput {
-            now: logged.now,
-            measured: arm.measured,
-            chunk,
-            operator: arm.operator,
-        }));
-        let Some(outputs) = outputs else {
+        let inputs = step.inputs();
+        if inputs.count() != self.controller.arm_count() {
             return Some(self.other_arms(logged));
-        };
+        }
+        let outputs = self.controller.tick(&inputs);
         let solved = |output: &TickOutput| matches!(output.report.qp, QpOutcome::Solved { .. });
         if outputs.iter().any(solved) {
             self.second_opinion.ask(&self.controller);

@@ -7,7 +7,9 @@ use hal::{ArmState, Chunk, JointVector, TimeNs, TipTarget};
 use nalgebra::Translation3;
 
 use super::samples::{self, assert_same, chunk, chunk_bits, header, outcome};
-use super::{Pressure, Recorder, RunHeader, RunLog, Scratch, TickRecord, TickTiming, chunk_of_run};
+use super::{Pressure, Recorder, RunHeader, RunLog, Scratch, TickRecord, TickTiming};
+use super::{chunk_of_run, run_controller};
+use crate::replay::replay;
 use crate::{Loss, RunOutcome};
 use hal::PerArm;
 use trocar_control::{AnyController, ControlConfig, OperatorEvent, TickInput};
@@ -67,7 +69,7 @@ pub(crate) fn run_two_arms(ticks: u64) -> (Vec<TickRecord>, RunHeader) {
                 operator: (tick == 1 + arm).then_some(OperatorEvent::Enable),
             }
         });
-        let outputs = controller.tick(&inputs).unwrap();
+        let outputs = controller.tick(&inputs);
         places = outputs.map(|output| (output.command.position, output.command.jaw_position));
         let timing = TickTiming::default();
         records.push(TickRecord::new(tick, inputs, outputs, timing));
@@ -198,4 +200,25 @@ fn a_lost_chunk_of_the_second_arm_is_named() {
     let log = RunLog::open(&file.0).unwrap();
     let lost = [1, 11, 21, 31].map(|tick| Loss::Chunk { tick });
     assert_eq!(log.losses, lost);
+}
+
+/// A log with ticks of other arms than its configuration has differs in their number, whichever has more.
+#[test]
+fn log_of_other_arms_than_its_configuration_differs() {
+    let (one, of_one) = run_controller(5);
+    let (two, of_two) = run_two_arms(5);
+    for (records, header, logged, computed) in
+        [(&one, &of_two, "1", "2"), (&two, &of_one, "2", "1")]
+    {
+        let file = Scratch::new("other-arms");
+        let log = write_two_arms(&file, records, header, chunk_of_arm, None);
+        let result = replay(&log).unwrap();
+        assert!(!result.identical && result.ticks == 0);
+        let found = result.first_difference.unwrap();
+        assert_eq!((found.tick, found.what.as_str()), (0, "arms"));
+        assert_eq!(
+            (found.logged.as_str(), found.computed.as_str()),
+            (logged, computed)
+        );
+    }
 }

@@ -2,7 +2,7 @@
 
 use core::f64::consts::TAU;
 
-use hal::psm::{ACTUATORS, EFFORT_MAX, POSITION_MAX, POSITION_MIN};
+use hal::psm::{ACTUATORS, EFFORT_MAX, STOP_MAX, STOP_MIN};
 use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, TICK_S, TimeNs};
 
 use super::config::PlantConfig;
@@ -10,12 +10,10 @@ use super::coupling::{
     AXIS_COUNT, AxisVector, actuator_efforts, actuator_positions, joint_efforts, joint_positions,
 };
 
-/// Mechanical end stops in joint space, N m/rad (N/m).
+/// Stiffness of the mechanical stops ([`STOP_MIN`], [`STOP_MAX`]) in joint space, N m/rad (N/m).
 const STOP_STIFFNESS: AxisVector = [2000.0, 2000.0, 2e4, 20.0, 20.0, 20.0, 20.0];
 /// Their damping while they are pressed, N m s/rad (N s/m).
 const STOP_DAMPING: AxisVector = [20.0, 20.0, 200.0, 0.05, 0.05, 0.05, 0.05];
-/// The jaw's lower stop is the other finger.
-const JAW_CLOSED: f64 = 0.0;
 
 /// What the world puts on the arm for one millisecond.
 #[derive(Clone, Copy, Debug, Default)]
@@ -313,12 +311,7 @@ fn counted(actuator: &AxisVector) -> AxisVector {
 
 fn stop_efforts(joint: &AxisVector, rate: &AxisVector) -> AxisVector {
     core::array::from_fn(|axis| {
-        let (least, most) = if axis < JOINT_COUNT {
-            (POSITION_MIN[axis], POSITION_MAX[axis])
-        } else {
-            (JAW_CLOSED, hal::psm::JAW_MAX)
-        };
-        let excess = joint[axis] - joint[axis].clamp(least, most);
+        let excess = joint[axis] - joint[axis].clamp(STOP_MIN[axis], STOP_MAX[axis]);
         if excess.abs() > 0.0 {
             -STOP_STIFFNESS[axis] * excess - STOP_DAMPING[axis] * rate[axis]
         } else {

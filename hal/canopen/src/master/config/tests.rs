@@ -1,4 +1,5 @@
 use super::*;
+use crate::master::axis::counts;
 use crate::number::whole;
 
 fn load(from: &str, to: &str) -> Result<CanConfig, ConfigError> {
@@ -23,6 +24,30 @@ fn shipped_bus_carries_one_arm_at_500_hz() {
     let insertion = &config.arms[0].plan.axes[2];
     assert!((insertion.counts_per_unit - 771_430.4).abs() < 0.1);
     assert_eq!(insertion.settings().range.1, whole_i32(0.240 * 771_430.4));
+}
+
+/// A drive's range ends at the last counts before the stops, and no set-point goes further, whichever way the encoder counts.
+#[test]
+fn limits_and_set_points_end_before_the_stops() {
+    let shipped = CanConfig::load(&CanConfig::shipped()).unwrap();
+    let forwards = shipped.arms[0].plan.axes[0];
+    let backwards = AxisPlan {
+        counts_per_unit: -forwards.counts_per_unit,
+        ..forwards
+    };
+    // Stops are 205 627.68 counts away: the nearest count lies beyond.
+    for (axis, sign) in [(forwards, 1), (backwards, -1)] {
+        assert_eq!(axis.range_counts(), (-205_627, 205_627));
+        assert_eq!(axis.settings().range, axis.range_counts());
+        for (units, end) in [(axis.range.0, -205_627_i32), (axis.range.1, 205_627)] {
+            assert_eq!(axis.position_counts(units), sign * (end + end.signum()));
+            for further in [units, 2.0 * units, 1e300_f64.copysign(units)] {
+                assert_eq!(counts(&axis, further), Some(sign * end));
+            }
+        }
+        assert_eq!(counts(&axis, f64::NAN), None);
+        assert_eq!(counts(&axis, f64::INFINITY), None);
+    }
 }
 
 /// The greatest speeds of the shipped motors have a value in turns a minute.

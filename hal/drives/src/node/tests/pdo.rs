@@ -1,5 +1,8 @@
 use super::*;
 
+/// Bit 31 of a COB-ID: the PDO is not in use.
+const INVALID: u32 = 1 << 31;
+
 #[test]
 fn mapping_changes_only_in_the_standards_order() {
     let mut bench = Bench::new();
@@ -172,4 +175,46 @@ fn event_tpdos_keep_inhibit_and_event_time() {
     assert_eq!(bench.said_by(0x185).len(), 2);
     bench.wait_ms(200);
     assert_eq!(bench.said_by(0x185).len(), 6, "every 50 ms");
+}
+
+/// Bit 30 of a TPDO's COB-ID (no remote frames) may be clear, as Lely's dcfgen writes it, or set, as our master does, and may change while the
+/// PDO is valid; CiA 301 fixes bits 0 to 29 meanwhile. The drive sends the same frames either way.
+#[test]
+fn tpdo_cob_id_is_taken_with_bit_30_clear_and_set() {
+    const NO_RTR: u32 = 1 << 30;
+    let cob = index::tpdo(0, 1);
+    for bit_30 in [0, NO_RTR] {
+        let mut bench = Bench::new();
+        let write = |bench: &mut Bench, raw: u32| bench.write(cob, &raw.to_le_bytes());
+        assert_eq!(bench.read(cob), 0x4000_0185, "as delivered");
+        // In dcfgen's order: off, transmission, mapping, on.
+        assert_eq!(write(&mut bench, INVALID | bit_30 | 0x185), Ok(()));
+        assert_eq!(bench.read(cob), i64::from(INVALID | bit_30 | 0x185));
+        bench.write(index::tpdo(0, 2), &[1]).unwrap();
+        bench.write(index::tpdo_mapping(0, 0), &[0]).unwrap();
+        let entry = 0x6041_0010_u32.to_le_bytes();
+        bench.write(index::tpdo_mapping(0, 1), &entry).unwrap();
+        bench.write(index::tpdo_mapping(0, 0), &[1]).unwrap();
+        assert_eq!(write(&mut bench, bit_30 | 0x185), Ok(()));
+        bench.nmt(NmtCommand::Start);
+        for bit_30 in [bit_30, bit_30 ^ NO_RTR, bit_30] {
+            assert_eq!(write(&mut bench, bit_30 | 0x185), Ok(()));
+            assert_eq!(bench.read(cob), i64::from(bit_30 | 0x185));
+            for changed in [0x186, INVALID | 0x186, NO_RTR | 0x186, 1 << 29 | 0x185] {
+                assert_eq!(write(&mut bench, changed), Err(AbortCode::VALUE));
+            }
+            assert_eq!(bench.read(cob), i64::from(bit_30 | 0x185));
+            bench.said.clear();
+            bench.frame(0x080, &[]);
+            let sent = bench.said_by(0x185);
+            assert_eq!(sent.len(), 1, "a SYNC, a TPDO");
+            let status = bench.node.dictionary().encode(index::STATUS);
+            assert_eq!(sent[0].1.data(), status.as_slice());
+        }
+        // Off, with either bit 30, it is sent no more.
+        assert_eq!(write(&mut bench, INVALID | bit_30 | 0x185), Ok(()));
+        bench.said.clear();
+        bench.frame(0x080, &[]);
+        assert!(bench.said_by(0x185).is_empty());
+    }
 }

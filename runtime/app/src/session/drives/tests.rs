@@ -173,7 +173,7 @@ impl Rig {
             chunk: chunk.as_ref(),
             operator: (self.ticks == 0).then_some(OperatorEvent::Enable),
         };
-        let outputs = self.controller.tick(&PerArm::one(input)).unwrap();
+        let outputs = self.controller.tick(&PerArm::one(input));
         self.faulted |= outputs.first.report.fault.is_some();
         let _told = self.arm.write(&outputs.first.command, &outputs.first.tail);
         self.ticks += 1;

@@ -135,10 +135,7 @@ impl ControlThread {
                 (_, true) => hold.end(REST_TICKS - rest_ticks <= RELEASE_TICKS),
                 (_, false) => hold.next(signals.held(), || self.operator.next()),
             };
-            let ticked = self.tick(&period, measured, operator, &mut tally);
-            let Some((record, answer)) = ticked else {
-                break;
-            };
+            let (record, answer) = self.tick(&period, measured, operator, &mut tally);
             setpoints = Some(answer);
             tally.tick(&record);
             self.operator
@@ -166,15 +163,14 @@ impl ControlThread {
         }
     }
 
-    /// The controller's tick with the chunks that have come; none if there are other arms than the controller's, which `Setup` rules
-    /// out.
+    /// The controller's tick with the chunks that have come.
     fn tick(
         &mut self,
         period: &Period,
         measured: PerArm<Measured>,
         operator: Option<OperatorEvent>,
         tally: &mut Tally,
-    ) -> Option<(TickRecord, PerArm<Setpoint>)> {
+    ) -> (TickRecord, PerArm<Setpoint>) {
         let waits = |chunks: &PerArm<Chunk>| is_ahead(&chunks.first, period);
         let (chunks, change) = self.drivers.next(waits, operator.is_none());
         let operator = operator.or(change);
