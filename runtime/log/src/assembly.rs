@@ -109,7 +109,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Visitor for Assembly
                 let text = protobuf::<Log>(data)?.message;
                 (self.to)(&self.facts.header, Event::Text(text))?;
             }
-            Topic::MeasuredCp | Topic::Transforms | Topic::Task => {}
+            Topic::MeasuredCp | Topic::Transforms | Topic::Task | Topic::Buses => {}
         }
         Ok(())
     }

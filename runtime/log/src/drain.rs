@@ -35,7 +35,7 @@ pub(super) struct Shared {
     pub(super) chunks_dropped: AtomicU64,
     /// Camera frames that found the queue full.
     pub(super) frames_dropped: AtomicU64,
-    /// Events and scenes that found their queue full.
+    /// Events, scenes and states of buses that found their queue full.
     pub(super) events_dropped: AtomicU64,
     /// Hash of all inputs that were handed over, dropped ones included.
     pub(super) input_hash: AtomicU64,
@@ -194,11 +194,15 @@ impl Drain {
         }
     }
 
-    /// Writes an event or a frame.
+    /// Writes an event, a frame or the state of the buses.
     fn write_side(&mut self, item: SideItem) {
         match item {
             SideItem::Event { at, level, text } => {
                 let result = self.writer.event(at, level, text);
+                self.note(result);
+            }
+            SideItem::Buses { at, buses } => {
+                let result = self.writer.buses(at, &buses);
                 self.note(result);
             }
             SideItem::Frame(frame) => match frame.encode() {

@@ -70,7 +70,7 @@ pub struct LogCounts {
     pub chunks_dropped: u64,
     /// Frames that found the queue full.
     pub frames_dropped: u64,
-    /// Events, and scenes of policy steps, that found their queue full.
+    /// Events, scenes of policy steps, and states of buses, that found their queue full.
     pub events_dropped: u64,
 }
 

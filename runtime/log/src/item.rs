@@ -2,6 +2,7 @@
 
 use hal::{Chunk, PerArm, TimeNs};
 
+use super::buses::BusesRecord;
 use super::camera::FrameItem;
 use super::level::Level;
 use super::record::TickRecord;
@@ -29,7 +30,7 @@ pub(super) struct SceneItem {
     pub(super) scene: SceneRecord,
 }
 
-/// An event or a frame on its way.
+/// An event, a frame or the state of the buses on its way.
 pub(super) enum SideItem {
     Event {
         at: TimeNs,
@@ -37,4 +38,8 @@ pub(super) enum SideItem {
         text: String,
     },
     Frame(Box<FrameItem>),
+    Buses {
+        at: TimeNs,
+        buses: BusesRecord,
+    },
 }

@@ -2,6 +2,7 @@
 
 mod assembly;
 mod bound;
+mod buses;
 mod camera;
 mod container;
 mod contents;
@@ -35,6 +36,7 @@ mod writer;
 #[cfg(test)]
 mod tests;
 
+pub use buses::{BusRecord, BusesRecord};
 pub use drain::OnFailure;
 pub use error::LogError;
 pub use header::{LogCounts, RunHeader, RunOutcome};

@@ -18,7 +18,9 @@ use super::topic::{Schema, Topic, pose_topic};
 
 pub use super::frames::SCENE;
 pub use super::happened::StateChanges;
-pub use super::topic::{EVENTS, SHAPES, TASK, TRANSFORMS, camera_of, image_topic, lens_topic};
+pub use super::topic::{
+    BUSES, EVENTS, SHAPES, TASK, TRANSFORMS, camera_of, image_topic, lens_topic,
+};
 
 /// A topic, and how its messages are encoded.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -82,10 +84,12 @@ pub fn of_drives(arms: usize, cameras: &[String]) -> Vec<Channel> {
     with_shapes(channels(&topics, arms, cameras))
 }
 
-/// The topics of a log of so many arms and these cameras.
+/// The topics of a log of so many arms and these cameras, that of buses if these `are_told` of.
 #[must_use]
-pub fn of_log(arms: usize, cameras: &[String]) -> Vec<Channel> {
-    let mut channels = channels(&Topic::ALL, arms, cameras);
+pub fn of_log(arms: usize, cameras: &[String], are_told: bool) -> Vec<Channel> {
+    let topics = Topic::ALL.into_iter();
+    let topics = topics.filter(|topic| *topic != Topic::Buses || are_told);
+    let mut channels = channels(&topics.collect::<Vec<_>>(), arms, cameras);
     let pose = Schema::Protobuf("foxglove.PoseInFrame");
     let poses = cameras.iter().map(|camera| pose_topic(camera));
     channels.extend(poses.map(|topic| Channel::new(&topic, pose)));

@@ -16,6 +16,7 @@ use hal::{CameraFrame, Chunk, TimeNs};
 use rtrb::{Producer, PushError, RingBuffer};
 
 use super::bound::Bound;
+use super::buses::BusesRecord;
 use super::camera::FrameItem;
 use super::drain::{Drain, OnFailure, Shared};
 use super::error::LogError;
@@ -178,6 +179,13 @@ impl SideLog {
             level,
             text: text.to_owned(),
         }) {
+            self.shared.events_dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Writes how busy the buses were at `at`, and what went wrong on them.
+    pub fn buses(&mut self, at: TimeNs, buses: BusesRecord) {
+        if !self.queue.push(SideItem::Buses { at, buses }) {
             self.shared.events_dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -359,6 +367,11 @@ impl Recorder {
     /// See [`SideLog::frame`].
     pub fn frame(&mut self, name: &str, frame: &CameraFrame) {
         self.side.frame(name, frame);
+    }
+
+    /// See [`SideLog::buses`].
+    pub fn buses(&mut self, at: TimeNs, buses: BusesRecord) {
+        self.side.buses(at, buses);
     }
 
     /// See [`SceneLog::scene`].

@@ -45,6 +45,13 @@ pub enum LoggedItem<'a> {
         /// The message, for [`SceneRecord::read`](super::SceneRecord::read).
         message: &'a str,
     },
+    /// The CAN buses of the arms.
+    Buses {
+        /// When.
+        at: TimeNs,
+        /// The message, for [`BusesRecord::read`](super::BusesRecord::read).
+        message: &'a str,
+    },
     /// What happened.
     Event {
         /// When.
@@ -131,9 +138,14 @@ impl<F: FnMut(LoggedItem<'_>)> Visitor for Looking<F> {
         if let Some(beside) = topic::beside_images(topic) {
             self.beside_images(beside, at, data)?;
         }
+        let text = || std::str::from_utf8(data).map_err(|error| error.to_string());
         if topic == live::TASK {
-            let message = std::str::from_utf8(data).map_err(|error| error.to_string())?;
+            let message = text()?;
             (self.each)(LoggedItem::Scene { at, message });
+        }
+        if topic == live::BUSES {
+            let message = text()?;
+            (self.each)(LoggedItem::Buses { at, message });
         }
         (self.each)(LoggedItem::Message { topic, at, data });
         Ok(())

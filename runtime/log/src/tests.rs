@@ -16,9 +16,9 @@ use hal::{
 use nalgebra::Vector3;
 
 use super::{
-    ArmRecord, CriterionRecord, FlapRecord, LogCounts, LogError, LoggedItem, LoggedReport, Loss,
-    Pressure, Recorder, RunHeader, RunLog, SceneRecord, TaskRecord, TickRecord, TickTiming,
-    Writing, read_items,
+    ArmRecord, BusRecord, BusesRecord, CriterionRecord, FlapRecord, LogCounts, LogError,
+    LoggedItem, LoggedReport, Loss, Pressure, Recorder, RunHeader, RunLog, SceneRecord, TaskRecord,
+    TickRecord, TickTiming, Writing, read_items,
 };
 use hal::PerArm;
 use trocar_control::OperatorEvent;
@@ -219,13 +219,52 @@ fn scenes_and_views_come_back_beside_the_ticks() {
             let apart = camera_in_scene.inv_mul(&frame.camera_in_scene);
             assert!(apart.translation.vector.norm() < 1e-12 && apart.rotation.angle() < 1e-12);
         }
-        LoggedItem::Image { .. } | LoggedItem::Event { .. } | LoggedItem::Message { .. } => {}
+        LoggedItem::Image { .. }
+        | LoggedItem::Buses { .. }
+        | LoggedItem::Event { .. }
+        | LoggedItem::Message { .. } => {}
     })
     .unwrap();
     let expected = (0..60).map(|step| (TimeNs::from_tick(40 * u64::from(step)), scene(step)));
     assert_eq!(scenes, expected.collect::<Vec<_>>());
     assert_eq!(views, 1);
     assert_eq!(SceneRecord::read(b"{\"moment_ms\": 1}"), None);
+}
+
+/// What the kernel counted on the buses is there for whoever looks on, and nothing to a replay.
+#[test]
+fn buses_come_back_beside_the_ticks() {
+    let file = Scratch::new("buses");
+    let mut recorder = Recorder::create(&file.0, &header(), Pressure::Block).unwrap();
+    let busy = |errors: u64| BusesRecord {
+        buses: ["can0", "can1"]
+            .map(|interface| BusRecord {
+                interface: interface.to_owned(),
+                frames_per_s: 8123.0,
+                load: 1.0 / 3.0,
+                errors,
+            })
+            .into(),
+    };
+    for tick in 0..30 {
+        recorder.tick(&record(tick));
+        if tick % 10 == 0 {
+            recorder.buses(TimeNs::from_tick(tick), busy(tick));
+        }
+    }
+    let counts = recorder.finish(Some(&outcome())).unwrap();
+    assert_eq!((counts.ticks, counts.events_dropped), (30, 0));
+    let log = RunLog::open(&file.0).unwrap();
+    assert_eq!((log.tick_count(), log.altered()), (30, false));
+    let mut told = Vec::new();
+    read_items(&file.0, |item| {
+        if let LoggedItem::Buses { at, message } = item {
+            told.push((at.tick(), BusesRecord::read(message.as_bytes())));
+        }
+    })
+    .unwrap();
+    assert_eq!(told, [0, 10, 20].map(|tick| (tick, Some(busy(tick)))));
+    assert_eq!(BusesRecord::read(b"[]"), None);
 }
 
 /// What is read of a report without a replay is what was reported; other texts are none.

@@ -17,6 +17,9 @@ pub const EVENTS: &str = "/events";
 /// The topic of a simulated scene at its policy steps.
 pub const TASK: &str = "/task";
 
+/// The topic of CAN buses.
+pub const BUSES: &str = "/buses";
+
 /// A topic that every log has. Cameras come on top, one pair of topics each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Topic {
@@ -42,10 +45,12 @@ pub(super) enum Topic {
     Transforms,
     /// Where everything in a simulated scene is, and how its task stands.
     Task,
+    /// How busy the CAN buses of the arms are, and what goes wrong on them.
+    Buses,
 }
 
 /// How many topics [`Topic`] has.
-pub(super) const TOPIC_COUNT: usize = 11;
+pub(super) const TOPIC_COUNT: usize = 12;
 
 impl Topic {
     /// All of them, in the order of their numbers.
@@ -61,6 +66,7 @@ impl Topic {
         Self::Events,
         Self::Transforms,
         Self::Task,
+        Self::Buses,
     ];
 
     /// The names in the file, one for each arm; a single one where all arms share the topic.
@@ -79,6 +85,7 @@ impl Topic {
             Self::Events => &[EVENTS],
             Self::Transforms => &[TRANSFORMS],
             Self::Task => &[TASK],
+            Self::Buses => &[BUSES],
         }
     }
 
@@ -104,6 +111,7 @@ impl Topic {
             Self::Timing => Schema::Json("trocar.Timing", TIMING_SCHEMA),
             Self::Tick => Schema::Json("trocar.Tick", TICK_SCHEMA),
             Self::Task => Schema::Json("trocar.Task", TASK_SCHEMA),
+            Self::Buses => Schema::Json("trocar.Buses", BUSES_SCHEMA),
         }
     }
 }
@@ -244,3 +252,11 @@ const TASK_SCHEMA: &str = r#"{"title": "trocar.Task", "type": "object",
     "criteria": {"type": "array", "items": {"type": "object", "properties": {
       "name": {"type": "string"}, "unit": {"type": "string"}, "value": {"type": ["number", "null"]},
       "goal": {"type": "number"}, "at_least": {"type": "boolean"}, "met": {"type": "boolean"}}}}}}}}"#;
+
+const BUSES_SCHEMA: &str = r#"{"title": "trocar.Buses", "type": "object",
+"description": "What the kernel counts on the CAN interfaces of the arms.",
+"properties": {"buses": {"type": "array", "items": {"type": "object", "properties": {
+  "interface": {"type": "string"},
+  "frames_per_s": {"type": "number", "description": "of the last second, both ways"},
+  "load": {"type": "number", "description": "share of the last second for which frames kept the bus busy at most, at its bit rate"},
+  "errors": {"type": "integer", "description": "errors and dropped frames since the interface is there"}}}}}}"#;

@@ -9,6 +9,7 @@ use mcap::{McapResult, WriteOptions, Writer};
 use prost::{EncodeError, Message};
 use serde::Serialize;
 
+use super::buses::BusesRecord;
 use super::contents::ContentHash;
 use super::frames::{self, RCM_FRAMES, measured_tip};
 use super::header::{self, Closing, RunHeader};
@@ -195,6 +196,11 @@ impl<W: Write + Seek> LogWriter<W> {
     /// Writes where everything in the scene is, and how its task stands.
     pub(super) fn scene(&mut self, at: TimeNs, scene: &SceneRecord) -> McapResult<()> {
         self.json(Topic::Task, 0, at, scene)
+    }
+
+    /// Writes how the buses are.
+    pub(super) fn buses(&mut self, at: TimeNs, buses: &BusesRecord) -> McapResult<()> {
+        self.json(Topic::Buses, 0, at, buses)
     }
 
     /// Writes a camera's image, lens and pose.

@@ -1,11 +1,12 @@
 //! A robot without a simulator: `trocar run --safety`, with `trocar drives --no-world` in the place of its drives.
 
 use std::fs;
+use std::path::Path;
 
 use tests::{repository, scratch, trocar};
-use trocar_log::RunLog;
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
+use trocar_log::{BusesRecord, LoggedItem, RunLog, read_items};
 
 use super::pair::Process;
 use super::peer::{alone, said};
@@ -35,6 +36,7 @@ fn robot_runs_without_a_simulator() {
         assert!(run.get(absent).is_none(), "{run}");
     }
     assert!(run["policy"]["queries"].as_u64() > Some(5), "{run}");
+    says_how_its_buses_were(&log);
     let log = RunLog::open(&log).unwrap();
     assert_eq!(
         (log.header.task.as_str(), log.text("scene.toml")),
@@ -52,6 +54,27 @@ fn robot_runs_without_a_simulator() {
     assert_eq!(code, Some(0), "{drives}");
     assert!(drives["begun_s"].as_f64().is_some(), "{drives}");
     assert!(drives.get("outcome").is_none(), "{drives}");
+}
+
+/// The log has twice a second what the kernel counted on the arm's interfaces: some load once a second is over, no errors.
+fn says_how_its_buses_were(log: &Path) {
+    let mut told = Vec::new();
+    read_items(log, |item| {
+        if let LoggedItem::Buses { message, .. } = item {
+            told.push(BusesRecord::read(message.as_bytes()).unwrap().buses);
+        }
+    })
+    .unwrap();
+    assert!((3..12).contains(&told.len()), "{told:?}");
+    let newest = told.last().unwrap();
+    assert!(
+        newest.iter().any(|bus| bus.interface == "vcan0"),
+        "{told:?}"
+    );
+    for bus in newest {
+        assert!(bus.frames_per_s > 1000.0 && bus.load > 0.1, "{told:?}");
+        assert_eq!(bus.errors, 0, "{told:?}");
+    }
 }
 
 /// A camera that shows nothing is named and no drive is spoken to.

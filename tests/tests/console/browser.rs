@@ -4,6 +4,7 @@ use serde_json::Value;
 use tests::scratch;
 
 use crate::devtools::{Browser, Proxy};
+use crate::log::as_if_on_can;
 use crate::run::{SLOW_MOTION, Served, made_log};
 
 /// Texts whose contrast with what is behind them is below WCAG's AA (4.5, or 3 where they are large), disabled controls apart.
@@ -93,7 +94,7 @@ const PATH: &str =
 const STATE: &str = "document.querySelector('.chip')?.dataset.state";
 
 /// How many colours the scene's picture has, and a sum of it that another picture hardly has.
-const SCENE: &str = "(() => {
+pub(crate) const SCENE: &str = "(() => {
   const from = document.querySelector('#scene-view');
   const to = new OffscreenCanvas(from.width, from.height).getContext('2d');
   to.drawImage(from, 0, 0);
@@ -234,6 +235,32 @@ fn the_page_shows_a_log() {
     browser.wait_until(&format!("{time} < 0.1"));
     browser.evaluate("document.querySelector('#play').click()");
     browser.wait_until(&format!("{time} > 0.5"));
+    assert_eq!(browser.errors, Vec::<String>::new());
+}
+
+/// The log of a run on CAN: how its bus was, and the instruments over the ground.
+#[test]
+#[ignore = "needs chromium: `make test-console` runs it"]
+fn the_page_shows_a_log_of_a_bus() {
+    let made = made_log("console-browser-can-made", "needle-lift");
+    let log = made.with_file_name("can.mcap");
+    as_if_on_can(&made, &log);
+    let served = Served::start("console-browser-can", &["replay", log.to_str().unwrap()]);
+    let mut browser = Browser::open("console-browser-can-profile", &served.url());
+    browser.look(1280, "light");
+    browser.wait_until("document.querySelectorAll('#events button').length > 1");
+    let buses = "document.querySelector('#drive-facts').innerText";
+    for (at, said) in [(0.6, "30.0 % busy"), (2.1, "60.0 % busy")] {
+        browser.evaluate(&format!("(() => {{ const at = document.querySelector('#at'); at.value = {at}; at.dispatchEvent(new Event('input')); }})()"));
+        browser.wait_until(&format!("{buses}.includes('{said}')"));
+    }
+    browser.wait_until(&format!("{buses}.includes('2 errors and drops')"));
+    let scene = "document.querySelector('#scene-view').dataset";
+    browser.wait_until(&format!("Math.abs(Number({scene}.seconds) - 2.1) < 0.1"));
+    let colours = browser.evaluate(SCENE);
+    assert!(colours[0].as_u64() > Some(300), "{colours}");
+    browser.wait_until(&format!("Number({scene}.paths) > 1"));
+    looks_right(&mut browser, "log-can");
     assert_eq!(browser.errors, Vec::<String>::new());
 }
 

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use tests::{json as read_json, scratch, stderr, trocar};
 use trocar_data::dataset::Dataset;
 
-use crate::browser::looks_right;
+use crate::browser::{SCENE, looks_right};
 use crate::devtools::Browser;
 use crate::page::Page;
 use crate::run::{PLAIN, Served};
@@ -54,6 +54,7 @@ fn all_episodes_of_a_dataset_are_looked_through() {
     assert_eq!(episodes.len(), 2);
     let depth = facts["depth"].as_array().unwrap();
     assert_eq!(depth.len(), read.camera_names().len());
+    looks_at_its_scene(&served, &facts);
     page.say(&json!({ "show": [[0, "colour"], [0, "ids"]] }));
     for (index, told) in episodes.iter().enumerate() {
         let episode = read.episodes()[index];
@@ -70,6 +71,7 @@ fn all_episodes_of_a_dataset_are_looked_through() {
                 (&json!(index), &json!(frame))
             );
             shows(&told["arms"][0], &read, episode.start + frame);
+            leads(&told["paths"][0], episode.len - 1 - frame);
             for plane in [0, 2] {
                 let picture = page.wait_for_picture();
                 assert_eq!(picture[..2], [0, plane]);
@@ -95,6 +97,57 @@ fn all_episodes_of_a_dataset_are_looked_through() {
     let result = read_json(&served.folder.join("result.json"));
     let expected = json!({ "task": "needle-lift", "episodes": 2, "frames": read.len() });
     assert_eq!(result, expected);
+}
+
+/// Ground, cameras and limits are those of the task, the instrument is where it was measured in each frame, and the needle is not there: where it was
+/// is not in the dataset.
+fn looks_at_its_scene(served: &Served, facts: &Value) {
+    assert_eq!(facts["scene"], true);
+    let (host, cookie) = (served.host(), served.cookie());
+    let headers = [("Host", host.as_str()), ("Cookie", cookie.as_str())];
+    let scene = served.get("/scene.glb", &headers);
+    for (part, is_there) in [
+        ("organ", true),
+        ("left finger", true),
+        ("endoscope", true),
+        ("psm1", true),
+        ("needle", false),
+    ] {
+        let named = format!("\"name\":\"{part}\"");
+        assert_eq!(scene.contains(&named), is_there, "{part}");
+    }
+    let mut page = Page::open(served);
+    page.wait_for("facts", |_| true);
+    page.say(&json!({ "open": 0 }));
+    page.say(&json!({ "show": [[255, "colour"]] }));
+    let places = [0.0, 1.0].map(|at| {
+        page.say(&json!({ "at": at }));
+        let places = page.wait_for_picture();
+        let stamp = f64::from_le_bytes(places[8..16].try_into().unwrap());
+        assert!(places[0] == 255 && (stamp - at).abs() < 1e-9, "{stamp}");
+        places
+    });
+    assert_ne!(places[0][16..], places[1][16..], "the arm moved");
+}
+
+/// A path shows this frame's action and the `left` after it, a second's at most, in the picture too.
+fn leads(path: &Value, left: usize) {
+    let points = path["points"].as_array().unwrap().len();
+    assert_eq!(points, thinned(left.min(25) + 1), "{path}");
+    let seen = path["pictures"]["0"].as_array().unwrap();
+    assert_eq!(seen.len(), points, "{path}");
+    let within = |part: &Value| (0.0..1.0).contains(&part.as_f64().unwrap());
+    assert!(
+        seen.iter()
+            .flat_map(|at| at.as_array().unwrap())
+            .all(within),
+        "{path}"
+    );
+}
+
+/// How many points are shown of so many: 24 at most, as far apart as one another.
+const fn thinned(count: usize) -> usize {
+    count.div_ceil(count.div_ceil(24))
 }
 
 /// The numbers of an arm are those of the frame.
@@ -175,6 +228,17 @@ fn looks_through(browser: &mut Browser, read: &Dataset) {
     let picture = "document.querySelector('.view img')";
     browser.wait_until("document.querySelectorAll('#chosen option').length === 2");
     browser.wait_until(&format!("{picture}.naturalWidth > 16"));
+    let scene = "document.querySelector('#scene-view').dataset";
+    browser.wait_until(&format!(
+        "Number({scene}.paths) > 5 && {scene}.seconds === '0.000'"
+    ));
+    let colours = browser.evaluate(SCENE);
+    assert!(colours[0].as_u64() > Some(300), "{colours}");
+    browser.wait_until(
+        "document.querySelector('.view .path .arm0').getAttribute('points').split(' ').length > 5",
+    );
+    let name = "document.querySelector('#path-name').textContent";
+    assert_eq!(browser.evaluate(name), "Path of the actions, 1 s");
     assert_eq!(
         browser.evaluate("document.querySelector('#steering').hidden"),
         true
@@ -196,6 +260,7 @@ fn looks_through(browser: &mut Browser, read: &Dataset) {
         browser.press("ArrowRight");
         let at = step * f64::from(frame);
         browser.wait_until(&format!("Math.abs({stamp} - {at}) < 0.002"));
+        browser.wait_until(&format!("Math.abs({scene}.seconds - {at}) < 0.002"));
     }
     let cell = "document.querySelector('#actions tbody tr td').textContent";
     let tip = read.tip_pose(read.episodes()[1].start + 3, 0)[0] * 1e3;

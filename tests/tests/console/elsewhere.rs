@@ -93,7 +93,9 @@ fn shows_a_camera(page: &mut Page, camera: u8) {
 fn a_page_sees_the_world_of_another_process() {
     let _turn = tests::alone();
     let simulator = Simulator::start("console-world");
-    let task = [&["--task", "needle-lift"][..], &LONG].concat();
+    let log = scratch("console-world-log").join("run.mcap");
+    let task = ["--task", "needle-lift", "--log", log.to_str().unwrap()];
+    let task = [&task[..], &LONG].concat();
     let mut served = simulator.run("console-world", "random", &task);
     let mut page = Page::open(&served);
     let facts = page.wait_for("facts", |_| true);
@@ -121,15 +123,59 @@ fn a_page_sees_the_world_of_another_process() {
         (&json!("s"), &json!(false))
     );
     assert!(criteria.iter().all(|it| it["goal"].is_f64()), "{state}");
-    let (host, cookie) = (served.host(), served.cookie());
-    let headers = [("Host", host.as_str()), ("Cookie", cookie.as_str())];
-    let scene = served.get("/scene.glb", &headers);
-    for part in ["needle", "left finger", "endoscope", "psm1"] {
-        assert!(scene.contains(&format!("\"name\":\"{part}\"")), "{part}");
-    }
+    has_in_its_scene(&served, &["needle", "left finger", "endoscope", "psm1"]);
     assert!(page.command("stop").0);
     page.wait_for("end", |_| true);
     assert_eq!(served.code(), 1);
+    replays(&log);
+    looks_as_the_world_did(&log);
+}
+
+/// The file of the scene that is shown has these parts; what it says.
+fn has_in_its_scene(served: &Served, parts: &[&str]) -> String {
+    let (host, cookie) = (served.host(), served.cookie());
+    let headers = [("Host", host.as_str()), ("Cookie", cookie.as_str())];
+    let scene = served.get("/scene.glb", &headers);
+    for part in parts {
+        assert!(scene.contains(&format!("\"name\":\"{part}\"")), "{part}");
+    }
+    scene
+}
+
+/// The log keeps every limit, and its commands are computed again bit for bit.
+fn replays(log: &Path) {
+    verified(log);
+    let replay = trocar().arg("replay").arg(log).output().unwrap();
+    assert!(replay.status.success(), "{}", tests::stderr(&replay));
+}
+
+/// The page on the log of a run whose world was another process shows what its own page did: where everything was, and how the task stood.
+fn looks_as_the_world_did(log: &Path) {
+    let words = ["replay", log.to_str().unwrap()];
+    let served = Served::start("console-world-replay", &words);
+    let mut page = Page::open(&served);
+    let facts = page.wait_for("facts", |_| true);
+    assert_eq!(
+        (&facts["scene"], &facts["time_limit_s"]),
+        (&json!(true), &json!(300.0))
+    );
+    assert!(facts["drawn"].as_array().unwrap().contains(&json!("side")));
+    has_in_its_scene(&served, &["needle", "left finger", "endoscope", "psm1"]);
+    page.say(&json!({ "show": [[SCENE, "colour"]] }));
+    let seconds = facts["seconds"].as_f64().unwrap();
+    page.say(&json!({ "at": 0.1 }));
+    let first = picture(&mut page, SCENE);
+    page.say(&json!({ "at": seconds }));
+    assert_ne!(
+        picture(&mut page, SCENE)[16..],
+        first[16..],
+        "the arm moved"
+    );
+    page.say(&json!({ "at": seconds }));
+    let state = page.wait_for("state", |_| true);
+    let criteria = state["criteria"].as_array().unwrap();
+    assert!(criteria.len() > 1 && criteria.iter().all(|it| it["goal"].is_f64()));
+    assert!(!state["task"].as_str().unwrap().is_empty(), "{state}");
 }
 
 /// A robot has cameras, which are those that were asked for, and neither scene nor criteria.
@@ -161,6 +207,35 @@ fn a_page_sees_the_cameras_of_a_robot() {
     assert!(page.command("stop").0);
     page.wait_for("end", |_| true);
     served.code();
+    replays(&log);
+    shows_its_arm(&log);
+}
+
+/// The page on a robot's log has its instrument where it was measured, with the limits, and neither a needle nor criteria.
+fn shows_its_arm(log: &Path) {
+    let served = Served::start("console-robot-replay", &["replay", log.to_str().unwrap()]);
+    let mut page = Page::open(&served);
+    let facts = page.wait_for("facts", |_| true);
+    assert_eq!(
+        (&facts["scene"], &facts["cameras"], &facts["depth"]),
+        (&json!(true), &json!(["endoscope"]), &json!([]))
+    );
+    let scene = has_in_its_scene(&served, &["left finger", "shaft", "psm1"]);
+    assert!(scene.contains("\"region\"") && !scene.contains("needle"));
+    page.say(&json!({ "show": [[SCENE, "colour"]] }));
+    page.say(&json!({ "at": 0.0 }));
+    let first = picture(&mut page, SCENE);
+    page.say(&json!({ "at": facts["seconds"] }));
+    assert_ne!(
+        picture(&mut page, SCENE)[16..],
+        first[16..],
+        "the arm moved"
+    );
+    page.say(&json!({ "show": [[0, "colour"]] }));
+    assert_eq!(picture(&mut page, 0)[17..20], *b"PNG");
+    page.say(&json!({ "at": facts["seconds"] }));
+    let state = page.wait_for("state", |_| true);
+    assert!(state["criteria"].is_null() && state["task"].is_null());
 }
 
 /// The hand is taken, and rises: so does the tip, which did not jump before.

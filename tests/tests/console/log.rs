@@ -1,11 +1,16 @@
 //! The console on a log.
 
+use std::path::Path;
 use std::process::Command;
 
+use hal::config::Source;
 use serde_json::{Value, json};
+use tests::trocar;
+use trocar_control::{AnyController, ControlConfig, TickInput};
+use trocar_log::{BusRecord, BusesRecord, Pressure, Recorder, RunLog, TickRecord};
 
 use crate::page::{Page, PageEvent};
-use crate::run::{Served, made_log};
+use crate::run::{Served, made_log, verified};
 
 #[test]
 fn a_log_is_looked_through() {
@@ -60,6 +65,87 @@ fn a_log_is_looked_through() {
     );
     page.wait_for("end", |_| true);
     assert_eq!(served.code(), 0);
+}
+
+/// A log at `to` of the run in `log`, as if its arm had been on a CAN bus that got busier every half second, and nobody had said where the needle was.
+pub(crate) fn as_if_on_can(log: &Path, to: &Path) {
+    let read = RunLog::open(log).unwrap();
+    let source = |file: &'static str| Source::embedded(file, read.text(file).unwrap());
+    let config = ControlConfig::load(&source("control.toml"), &source("safety.toml")).unwrap();
+    let mut controller = AnyController::new(&config).unwrap();
+    let mut recorder = Recorder::create(to, &read.header, Pressure::Block).unwrap();
+    for (tick, chunks) in read.ticks() {
+        let given = tick.arms.as_ref().zip(chunks);
+        let inputs = given.map(|(arm, chunk)| TickInput {
+            now: tick.now,
+            measured: arm.measured,
+            chunk,
+            operator: arm.operator,
+        });
+        let outputs = controller.tick(&inputs).unwrap();
+        for (arm, chunk) in chunks.iter().enumerate() {
+            if let Some(chunk) = chunk {
+                recorder.chunk(arm, chunk);
+            }
+        }
+        recorder.tick(&TickRecord::new(tick.tick, inputs, outputs, tick.timing));
+        let half_seconds = u32::try_from(tick.tick / 500).unwrap();
+        if tick.tick.is_multiple_of(500) {
+            let bus = BusRecord {
+                interface: "can0".to_owned(),
+                frames_per_s: 14_003.0,
+                load: 0.2 + 0.1 * f64::from(half_seconds),
+                errors: u64::from(half_seconds / 2),
+            };
+            recorder.buses(tick.now, BusesRecord { buses: vec![bus] });
+        }
+    }
+    recorder.finish(read.outcome.as_ref()).unwrap();
+}
+
+/// The page on the log of a CAN run says how busy its bus was and what went wrong on it, at each place of the time line; it has the instruments and the
+/// ground, and no needle.
+#[test]
+fn a_log_of_a_bus_is_looked_through() {
+    let made = made_log("console-log-can-made", "needle-lift");
+    let log = made.with_file_name("can.mcap");
+    as_if_on_can(&made, &log);
+    verified(&log);
+    let replay = trocar().arg("replay").arg(&log).output().unwrap();
+    assert!(replay.status.success(), "{}", tests::stderr(&replay));
+    let served = Served::start("console-log-can", &["replay", log.to_str().unwrap()]);
+    let mut page = Page::open(&served);
+    let facts = page.wait_for("facts", |_| true);
+    assert_eq!(
+        (&facts["scene"], &facts["depth"]),
+        (&json!(true), &json!([]))
+    );
+    for (at, load, errors) in [(1.1, 0.4, 1), (0.6, 0.3, 0), (2.1, 0.6, 2)] {
+        page.say(&json!({ "at": at }));
+        let state = page.wait_for("state", |_| true);
+        let [bus] = &state["buses"].as_array().unwrap()[..] else {
+            panic!("{state}");
+        };
+        assert_eq!(
+            (&bus["interface"], &bus["errors"]),
+            (&json!("can0"), &json!(errors))
+        );
+        assert!(
+            (bus["load"].as_f64().unwrap() - load).abs() < 1e-9,
+            "{bus} at {at}"
+        );
+        assert!(state["criteria"].is_null(), "{state}");
+    }
+    let (host, cookie) = (served.host(), served.cookie());
+    let headers = [("Host", host.as_str()), ("Cookie", cookie.as_str())];
+    let scene = served.get("/scene.glb", &headers);
+    for (part, is_there) in [("organ", true), ("left finger", true), ("needle", false)] {
+        let named = format!("\"name\":\"{part}\"");
+        assert_eq!(scene.contains(&named), is_there, "{part}");
+    }
+    page.say(&json!({ "show": [[SCENE, "colour"]] }));
+    let [begin, end] = [0.0, 2.0].map(|at| seen_at(&mut page, at, &[(SCENE, 0)]).remove(0));
+    assert_ne!(begin[16..], end[16..], "the arm moved");
 }
 
 /// The scene is there, its cameras too, those that the log has no images of; depth, ids and where everything is are told for a place, and so is

@@ -10,14 +10,18 @@ use serde_json::Value;
 use trocar_control::ControlConfig;
 use trocar_control::kinematics::inverse;
 use trocar_data::dataset::{
-    ACTION_WIDTH, CameraSpec, Dataset, DatasetError, Episode, Notes, STATE_WIDTH, TIP_POSE_WIDTH,
+    ACTION_WIDTH, CameraSpec, Dataset, Episode, Notes, STATE_WIDTH, TIP_POSE_WIDTH,
 };
 use trocar_data::relative_action::pose_from_numbers;
 
-use super::encode;
+use super::dataset_scene::DatasetScene;
 use super::facts::{AxisRange, EpisodeFacts, EventFacts, Facts, OfDataset};
 use super::pictures::{Drawn, Pixels, Plane, Stream};
+use super::{encode, path};
 use crate::session::{PolicyChoice, SessionError, Setup};
+
+/// How far ahead a path shows the actions, s.
+const PATH_S: u32 = 1;
 
 /// Room at either end of a range that values alone tell, rad and m.
 const ROOM: f64 = 1e-3;
@@ -29,6 +33,8 @@ pub(super) struct DatasetView {
     dataset: Dataset,
     /// Of each episode, whether an operator drove in each frame; empty if the dataset does not say.
     by_hand: Vec<Vec<bool>>,
+    /// None of arms of which it is not known how they stand to one another.
+    scene: Option<DatasetScene>,
 }
 
 /// Where a page looks: an episode, and a time in it, s.
@@ -45,6 +51,9 @@ struct Frame {
     /// Whether an operator drove, if the dataset says so.
     by_hand: Option<bool>,
     arms: Vec<ArmOfFrame>,
+    /// Where the actions from here on lead, arm by arm.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    paths: Vec<path::Path>,
 }
 
 /// One arm; joint angles rad, insertion m, the jaw last.
@@ -77,12 +86,25 @@ impl DatasetView {
         } else {
             Vec::new()
         };
-        let facts = facts(&dataset, &notes, &by_hand);
+        let setup = setup(&dataset);
+        let scene = DatasetScene::new(&dataset, &notes, setup.as_ref());
+        let limits = setup.map(|setup| setup.robot.control);
+        let facts = facts(&dataset, (&notes, limits.as_ref()), &by_hand);
         Ok(Self {
-            facts,
+            facts: match &scene {
+                Some(_) => facts.with_scene(),
+                None => facts,
+            },
             dataset,
             by_hand,
+            scene,
         })
+    }
+
+    /// The scene's file, if there is a scene.
+    pub(super) fn scene_file(&self) -> Option<Bytes> {
+        let first = self.dataset.episodes().first()?;
+        self.scene.as_ref()?.file(&self.dataset, first.start)
     }
 
     /// What a page is told first.
@@ -115,6 +137,11 @@ impl DatasetView {
         let within = frame - episode.start;
         let by_hand = self.by_hand.get(index).and_then(|flags| flags.get(within));
         let arms = ARM_NAMES.into_iter().take(self.dataset.arms()).enumerate();
+        let last = episode.start + episode.len - 1;
+        let paths = self.scene.as_ref().map(|scene| {
+            let end = last.min(frame + self.path_frames());
+            scene.paths(&self.dataset, (frame, end), &self.facts.cameras)
+        });
         let told = Frame {
             kind: "frame",
             episode: index,
@@ -124,8 +151,14 @@ impl DatasetView {
             arms: arms
                 .map(|(arm, name)| self.arm(name, *episode, frame, arm))
                 .collect(),
+            paths: paths.unwrap_or_default(),
         };
         serde_json::to_string(&told).ok()
+    }
+
+    /// How many frames a path is long: some chunk's time.
+    fn path_frames(&self) -> usize {
+        (PATH_S * self.dataset.fps()) as usize
     }
 
     fn arm(&self, name: &'static str, episode: Episode, frame: usize, arm: usize) -> ArmOfFrame {
@@ -143,15 +176,22 @@ impl DatasetView {
         }
     }
 
-    /// The image of `stream` in a frame as pages get it; none if the dataset does not keep it.
+    /// The image of `stream` in a frame as pages get it, or where everything is in it; none if the dataset does not keep it.
     ///
     /// # Errors
-    /// [`DatasetError`] if the file that holds it is damaged.
+    /// [`SessionError`] if the file that holds it is damaged.
     pub(super) fn picture(
         &self,
         stream: Stream,
         frame: usize,
-    ) -> Result<Option<Bytes>, DatasetError> {
+    ) -> Result<Option<Bytes>, SessionError> {
+        let [_, within] = self.dataset.place(frame);
+        let stamp = TimeNs(within as u64 * 1_000_000_000 / u64::from(self.dataset.fps()));
+        if stream == Stream::SCENE {
+            let scene = self.scene.as_ref();
+            let places = scene.map(|scene| scene.places(&self.dataset, frame, stamp));
+            return places.transpose();
+        }
         let camera = usize::from(stream.camera);
         let Some(spec) = self.dataset.spec().cameras.get(camera) else {
             return Ok(None);
@@ -164,10 +204,9 @@ impl DatasetView {
             }
             (Plane::Ids, Some(_)) => Pixels::Ids(self.dataset.depth(frame, camera)?.instance),
         };
-        let [_, within] = self.dataset.place(frame);
         let drawn = Drawn {
             stream,
-            stamp: TimeNs(within as u64 * 1_000_000_000 / u64::from(self.dataset.fps())),
+            stamp,
             width: spec.width,
             height: spec.height,
             pixels,
@@ -176,8 +215,12 @@ impl DatasetView {
     }
 }
 
-/// What does not change.
-fn facts(dataset: &Dataset, notes: &Notes, by_hand: &[Vec<bool>]) -> Facts {
+/// What does not change, of arms with these `limits` if they are known.
+fn facts(
+    dataset: &Dataset,
+    (notes, limits): (&Notes, Option<&ControlConfig>),
+    by_hand: &[Vec<bool>],
+) -> Facts {
     let noted = |index: usize| {
         let is_of = |note: &&Value| note["episode_index"] == index;
         notes.episodes.iter().find(is_of).cloned()
@@ -204,19 +247,17 @@ fn facts(dataset: &Dataset, notes: &Notes, by_hand: &[Vec<bool>]) -> Facts {
     let recorded = |key: &str| notes.recording.as_ref().and_then(|note| note[key].as_str());
     let source = recorded("source").unwrap_or_default();
     let arms = ARM_NAMES.into_iter().take(dataset.arms());
-    let limits = limits(dataset);
     let ranges = || (0..STATE_WIDTH).map(|axis| range(dataset, axis)).collect();
-    let axes = limits.as_ref().map_or_else(ranges, AxisRange::limits);
+    let axes = limits.map_or_else(ranges, AxisRange::limits);
     let title = (dataset.task(), source);
     let cameras = (dataset.camera_names().to_vec(), depth);
     Facts::of_dataset(title, arms, axes, cameras, told)
 }
 
-/// The limits of the arms of the dataset's task, if it is a built-in one.
-fn limits(dataset: &Dataset) -> Option<ControlConfig> {
+/// The dataset's task with the limits of its arms, if it is a built-in one.
+fn setup(dataset: &Dataset) -> Option<Setup> {
     let setup = Setup::load(dataset.task(), None, &PolicyChoice::Noop).ok()?;
-    let control = setup.robot.control;
-    (control.arms.len() == dataset.arms()).then_some(control)
+    (setup.robot.control.arms.len() == dataset.arms()).then_some(setup)
 }
 
 /// Between which values an axis is in all frames, and 1 rad/s or m/s: what is known of arms without limits.

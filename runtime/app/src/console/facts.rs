@@ -256,14 +256,14 @@ impl Facts {
         self
     }
 
-    /// The same of a log with a scene, of which these cameras are: they are drawn from there, but for images in the log.
+    /// The same of a log in whose scene these cameras are: what they saw is drawn from there, but for images in the log.
     pub(super) fn drawn(mut self, cameras: Vec<String>) -> Self {
         let others = cameras.iter();
         let others = others.filter(|name| !self.cameras.contains(name));
         self.drawn = others.cloned().collect();
         self.cameras.extend(self.drawn.iter().cloned());
         self.depth = cameras;
-        self.with_scene()
+        self
     }
 
     /// The same of a log.

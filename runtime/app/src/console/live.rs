@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::facts::Facts;
 use super::path::paths;
 use super::pictures::Board;
-use super::state::{BusState, State};
+use super::state::State;
 use super::tap::Sample;
 use super::viewers::Message;
 use crate::mailbox::MailboxReader;
@@ -17,8 +17,8 @@ use crate::session::scene_record;
 use crate::session::teleop::Hands;
 use hal::{Chunk, PerArm, TimeNs};
 use rtrb::Consumer;
-use trocar_log::TickRecord;
 use trocar_log::live::{self, StateChanges};
+use trocar_log::{BusRecord, TickRecord};
 use trocar_topics::TaskReport;
 
 /// The reading ends of a run.
@@ -145,10 +145,10 @@ impl Live {
         Some(state.towards(paths.unwrap_or_default()).json())
     }
 
-    fn buses(&self) -> Vec<BusState> {
+    fn buses(&self) -> Vec<BusRecord> {
         let mut buses = self.buses.lock().unwrap_or_else(PoisonError::into_inner);
         buses.look();
-        BusState::of(&buses, self.facts.buses.1)
+        buses.record(self.facts.buses.1).buses
     }
 
     /// Says `command` to the run, as the operator's verbs do; waits for the answer. Whether it is a yes, and the answer.

@@ -1,4 +1,5 @@
-//! The simulated scene of a log: where everything was at each policy step, and what its cameras saw, drawn when a page looks there.
+//! The scene of a log: where everything was at each policy step, if a simulation said so, and what its cameras saw, drawn when a page looks there. Of
+//! other logs what is known: the instruments where the arms were measured, and of a task what does not move.
 
 use std::fmt;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -7,7 +8,7 @@ use axum::body::Bytes;
 use hal::config::Source;
 use hal::{CameraFrame, TimeNs};
 use trocar_control::config::ArmConfig;
-use trocar_log::{RunHeader, SceneRecord};
+use trocar_log::{RunHeader, SceneRecord, TaskRecord, TickRecord};
 use trocar_tasks::cameras::{SceneCameras, SceneModel};
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::{TaskConfig, Variation, View};
@@ -15,14 +16,18 @@ use trocar_tasks::task::{TaskConfig, Variation, View};
 use super::log_view::States;
 use super::path::Lenses;
 use super::pictures::{Drawn, Pixels, Plane, Stream};
+use super::scene::AXES;
 use super::{encode, scene};
 use crate::session::{SessionError, scene_record};
 
 /// The scene of a logged run.
 pub(super) struct LogScene {
-    task: TaskConfig,
+    task: Option<TaskConfig>,
     seed: u64,
-    /// Messages by the tick of their time.
+    arms: Vec<ArmConfig>,
+    /// Whether the log says where everything was.
+    is_whole: bool,
+    /// By the tick of their time: messages that say where everything was, or else joints and jaw of each arm, as they were measured.
     records: States,
     drawing: Mutex<Drawing>,
 }
@@ -57,42 +62,72 @@ impl fmt::Debug for LogScene {
 }
 
 impl LogScene {
-    /// That of the run of `header` with these `records`; none of a log without a scene.
-    ///
-    /// # Errors
-    /// In words, if its task can't be made here, say since its patient is elsewhere.
-    pub(super) fn new(header: &RunHeader, records: States) -> Result<Option<Self>, String> {
-        let Some(text) = header.text("scene.toml").filter(|_| !records.is_empty()) else {
-            return Ok(None);
+    /// That of the run of `header` with `arms` and these messages of its scene; also why its task can't be made here, in words, if it can't, say since
+    /// its patient is elsewhere: then the arms are seen alone.
+    pub(super) fn new(
+        header: &RunHeader,
+        messages: States,
+        arms: &[ArmConfig],
+    ) -> (Self, Option<String>) {
+        let text = header.text("scene.toml");
+        let made = text.map(|text| task(header, text)).transpose();
+        let (task, problem) = made.map_or_else(|problem| (None, Some(problem)), |it| (it, None));
+        let is_whole = task.is_some() && !messages.is_empty();
+        let model = match &task {
+            Some(task) if is_whole => SceneModel::new(task, header.seed),
+            Some(task) => SceneModel::at_rest(task, header.seed),
+            None => SceneModel::of_arms(arms.len()),
         };
-        let task = task(header, text)?;
         let drawing = Mutex::new(Drawing {
-            model: SceneModel::new(&task, header.seed),
+            model,
             cameras: Cameras::Unopened,
         });
-        Ok(Some(Self {
+        let scene = Self {
             task,
             seed: header.seed,
-            records,
+            arms: arms.to_vec(),
+            is_whole,
+            records: if is_whole {
+                messages
+            } else {
+                States::default()
+            },
             drawing,
-        }))
+        };
+        (scene, problem)
     }
 
-    /// The names of its cameras.
+    /// Takes in where the arms were measured in a tick, which is the scene where nothing says more.
+    pub(super) fn measure(&mut self, record: &TickRecord) {
+        let measured = record.arms.iter().map(|arm| arm.measured.as_ref().ok());
+        let finite = measured.map(|arm| arm.filter(|state| state.is_finite()));
+        let axes: Option<Vec<_>> = finite.map(|arm| arm.map(scene::axes)).collect();
+        let text = axes.and_then(|axes| serde_json::to_string(&axes).ok());
+        if let Some(text) = text.filter(|_| !self.is_whole) {
+            self.records.keep(record.now.tick(), text.into());
+        }
+    }
+
+    /// The names of the cameras that saw it, as far as a simulation drew what they saw.
     pub(super) fn cameras(&self) -> Vec<String> {
-        let cameras = self.task.cameras.iter();
+        let task = self.task.iter().filter(|_| self.is_whole);
+        let cameras = task.flat_map(|task| &task.cameras);
         cameras.map(|camera| camera.name.clone()).collect()
     }
 
-    /// When its episode is given up, s.
-    pub(super) const fn time_limit_s(&self) -> f64 {
-        self.task.time_limit_s
+    /// When its episode is given up, s, if it is of a task.
+    pub(super) fn time_limit_s(&self) -> Option<f64> {
+        self.task.as_ref().map(|task| task.time_limit_s)
     }
 
-    /// The scene of `tick`, or the nearest before it, with its own tick.
-    pub(super) fn record(&self, tick: u64) -> Option<(u64, SceneRecord)> {
-        let (tick, message) = self.records.at(tick)?;
-        Some((tick, SceneRecord::read(message.as_bytes())?))
+    /// How its task stood at `tick`, or the nearest before it, if the log says so.
+    pub(super) fn stood(&self, tick: u64) -> Option<TaskRecord> {
+        self.record(tick).map(|record| record.task)
+    }
+
+    fn record(&self, tick: u64) -> Option<SceneRecord> {
+        let (_, message) = self.records.at(tick).filter(|_| self.is_whole)?;
+        SceneRecord::read(message.as_bytes())
     }
 
     /// The tick of what there is to see of `tick`.
@@ -100,10 +135,10 @@ impl LogScene {
         self.records.at(tick).map(|(tick, _)| tick)
     }
 
-    /// The scene's file, with the limits of `arms`.
-    pub(super) fn file(&self, arms: &[ArmConfig]) -> Option<Bytes> {
+    /// The scene's file, with the limits of its arms; none if nothing is known of where they were.
+    pub(super) fn file(&self) -> Option<Bytes> {
         let (_, start) = self.snapshot(0)?;
-        scene::file(&self.drawing().model, &start, arms).ok()
+        scene::file(&self.drawing().model, &start, &self.arms).ok()
     }
 
     /// Where everything is at `tick`, as pages are told.
@@ -119,16 +154,10 @@ impl LogScene {
         Ok(Some(message.into()))
     }
 
-    /// Adds those of the cameras `names` that are of this scene, as they are in `record`, to `lenses`, each in its place among `names`.
-    pub(super) fn add_lenses(&self, names: &[String], record: &SceneRecord, lenses: &mut Lenses) {
-        let model = &self.drawing().model;
-        let snapshot = scene_record::snapshot(record);
-        let poses = snapshot.and_then(|snapshot| model.camera_poses(&snapshot).ok());
-        for ((camera, lens), pose) in model.cameras().zip(poses.into_iter().flatten()) {
-            let place = (0..=u8::MAX).zip(names).find(|(_, name)| *name == camera);
-            if let Some((place, _)) = place {
-                lenses.entry(place).or_insert((lens, pose));
-            }
+    /// Adds those of the cameras `names` that are of this scene, as they are at `tick`, to `lenses`, each in its place among `names`.
+    pub(super) fn add_lenses(&self, names: &[String], tick: u64, lenses: &mut Lenses) {
+        if let Some((_, snapshot)) = self.snapshot(tick) {
+            scene::add_lenses(&self.drawing().model, &snapshot, names, lenses);
         }
     }
 
@@ -143,11 +172,14 @@ impl LogScene {
         stream: Stream,
         tick: u64,
     ) -> Result<Option<Bytes>, SessionError> {
+        let Some(task) = self.task.as_ref().filter(|_| self.is_whole) else {
+            return Ok(None);
+        };
         let Some((tick, snapshot)) = self.snapshot(tick) else {
             return Ok(None);
         };
         let drawing = &mut *self.drawing();
-        let draw = drawing.cameras.open(&self.task, self.seed)?;
+        let draw = drawing.cameras.open(task, self.seed)?;
         let frame = draw.map_or(Ok(None), |draw| draw(name, &snapshot))?;
         let Some(frame) = frame else {
             return Ok(None);
@@ -167,8 +199,15 @@ impl LogScene {
     }
 
     fn snapshot(&self, tick: u64) -> Option<(u64, SceneSnapshot)> {
-        let (tick, record) = self.record(tick)?;
-        Some((tick, scene_record::snapshot(&record)?))
+        let (of, message) = self.records.at(tick)?;
+        let snapshot = if self.is_whole {
+            scene_record::snapshot(&self.record(tick)?)
+        } else {
+            let axes: Vec<[f64; AXES]> = serde_json::from_str(message).ok()?;
+            let arms = self.arms.iter().map(|arm| arm.scene_from_rcm).zip(axes);
+            Some(scene::of_arms(arms))
+        };
+        Some((of, snapshot?))
     }
 
     fn drawing(&self) -> MutexGuard<'_, Drawing> {
@@ -224,6 +263,10 @@ fn task(header: &RunHeader, text: &str) -> Result<TaskConfig, String> {
 
 #[cfg(test)]
 mod tests {
+    use hal::{ArmError, ArmState, JointVector, PerArm, Pose};
+    use trocar_control::TickInput;
+    use trocar_control::kinematics::forward;
+    use trocar_log::TickTiming;
     use trocar_tasks::simulation::{Rendering, Simulation};
 
     use super::*;
@@ -280,11 +323,12 @@ mod tests {
             for task in others.into_iter().flatten().chain([shipped.clone()]) {
                 let (scenes, records) = steps(&task);
                 let header = header(&setup, &task);
-                let scene = LogScene::new(&header, records).unwrap().unwrap();
-                let mut model = SceneModel::new(&task, SEED);
                 let arms = &setup.robot.control.arms;
+                let (scene, problem) = LogScene::new(&header, records, arms);
+                assert_eq!(problem, None);
+                let mut model = SceneModel::new(&task, SEED);
                 let file = scene::file(&model, &scenes[0], arms).unwrap();
-                assert!(scene.file(arms) == Some(file), "{}", task.name);
+                assert!(scene.file() == Some(file), "{}", task.name);
                 for (tick, step) in [(0, 0), (39, 0), (40, 1), (1000, 2)] {
                     let at = TimeNs::from_tick(40 * step);
                     let now = &scenes[usize::try_from(step).unwrap()];
@@ -294,8 +338,7 @@ mod tests {
                 }
                 let names = ["elsewhere".to_owned(), scene.cameras().remove(0)];
                 let mut lenses = Lenses::new();
-                let (_, record) = scene.record(40).unwrap();
-                scene.add_lenses(&names, &record, &mut lenses);
+                scene.add_lenses(&names, 40, &mut lenses);
                 let (_, lens) = model.cameras().next().unwrap();
                 let pose = model.camera_poses(&scenes[1]).unwrap()[0];
                 assert_eq!(lenses, Lenses::from([(1, (lens, pose))]), "{}", task.name);
@@ -309,7 +352,7 @@ mod tests {
         let setup = setup("needle-lift");
         let (scenes, records) = steps(&setup.task);
         let header = header(&setup, &setup.task);
-        let scene = LogScene::new(&header, records).unwrap().unwrap();
+        let (scene, _) = LogScene::new(&header, records, &setup.robot.control.arms);
         let mut cameras = SceneCameras::new(&setup.task).unwrap();
         cameras.begin_episode(&setup.task, SEED);
         let mut frame = cameras.blank_frame(0).unwrap();
@@ -337,19 +380,92 @@ mod tests {
         }
     }
 
+    /// A tick in which the arms of `setup` were measured at `joints`.
+    fn measured(setup: &Setup, tick: u64, joints: JointVector) -> TickRecord {
+        let now = TimeNs::from_tick(tick);
+        let state = ArmState::at_rest(now, joints, 0.3);
+        let input = TickInput {
+            now,
+            measured: Ok(state),
+            chunk: None,
+            operator: None,
+        };
+        let inputs = setup.robot.control.arms.iter().map(|_| input);
+        let inputs = PerArm::collect(inputs).unwrap();
+        let outputs = setup.controller().unwrap().tick(&inputs).unwrap();
+        TickRecord::new(tick, inputs, outputs, TickTiming::default())
+    }
+
+    /// The arms that `scene` tells of `tick`: the poses of what is drawn but for cameras.
+    fn told(scene: &LogScene, tick: u64) -> Vec<Pose> {
+        scene::places(&scene.places(tick).unwrap().unwrap())
+            .unwrap()
+            .0
+    }
+
+    /// Without a simulation that says more, the instruments are where the arms were measured, with what of the task does not move, and with the limits.
+    /// What its cameras saw is not drawn: the needle is not known.
     #[test]
-    fn a_log_without_a_scene_has_none() {
+    fn a_log_without_a_scene_has_the_measured_arms() {
+        for (name, rests) in [("needle-lift", "organ"), ("needle-handover", "liver")] {
+            let setup = setup(name);
+            let arms = &setup.robot.control.arms;
+            let start = JointVector::new(0.1, -0.1, 0.12, 0.2, 0.3, -0.1);
+            let end = JointVector::new(0.2, 0.1, 0.14, -0.2, 0.1, 0.2);
+            let ticks = [(0, start), (40, end)].map(|(tick, at)| measured(&setup, tick, at));
+            let of_task = header(&setup, &setup.task);
+            for (header, own) in [(of_task, 1), (RunHeader::default(), 0)] {
+                let (mut scene, problem) = LogScene::new(&header, States::default(), arms);
+                assert_eq!((problem, scene.tick(0), scene.file()), (None, None, None));
+                ticks.iter().for_each(|tick| scene.measure(tick));
+                let file = String::from_utf8_lossy(&scene.file().unwrap()).into_owned();
+                assert!(file.contains("left finger") && file.contains("\"workspace\""));
+                assert_eq!(file.contains("\"region\""), name == "needle-lift");
+                assert_eq!(file.contains(&format!("\"name\":\"{rests}\"")), own > 0);
+                assert!(!file.contains("\"name\":\"needle\""));
+                for (at, joints) in [(0, start), (39, start), (40, end), (900, end)] {
+                    let places = told(&scene, at);
+                    assert_eq!(places.len(), own + 4 * arms.len());
+                    for (arm, parts) in arms.iter().zip(places[own..].chunks(4)) {
+                        let tip = arm.scene_from_rcm * forward(&joints);
+                        let finger = parts[2].translation.vector;
+                        assert!((finger - tip.translation.vector).norm() < 1e-6, "{at}");
+                    }
+                }
+                let colour = Stream {
+                    camera: 0,
+                    plane: Plane::Colour,
+                };
+                assert!(scene.picture("endoscope", colour, 0).unwrap().is_none());
+                assert!(scene.stood(0).is_none() && scene.cameras().is_empty());
+            }
+        }
+    }
+
+    /// A task that can't be made here leaves the arms; a measurement that is lost, where they were before.
+    #[test]
+    fn arms_are_seen_where_their_task_is_unknown() {
         let setup = setup("needle-lift");
-        let header = header(&setup, &setup.task);
-        let none = LogScene::new(&header, States::default());
-        assert!(none.is_ok_and(|scene| scene.is_none()));
-        let robot = LogScene::new(&RunHeader::default(), steps(&setup.task).1);
-        assert!(robot.is_ok_and(|scene| scene.is_none()));
+        let arms = &setup.robot.control.arms;
         let elsewhere = RunHeader {
             needle: Some("N9".to_owned()),
-            ..header
+            ..header(&setup, &setup.task)
         };
-        let error = LogScene::new(&elsewhere, steps(&setup.task).1).err();
-        assert!(error.is_some_and(|error| error.contains("N9")));
+        let (mut scene, problem) = LogScene::new(&elsewhere, steps(&setup.task).1, arms);
+        assert!(problem.is_some_and(|problem| problem.contains("N9")));
+        let joints = JointVector::new(0.1, -0.1, 0.12, 0.2, 0.3, -0.1);
+        let mut tick = measured(&setup, 0, joints);
+        scene.measure(&tick);
+        let before = told(&scene, 0);
+        assert_eq!(before.len(), 4);
+        for lost in [Err(ArmError::EndOfRecording), Ok(f64::NAN)] {
+            (tick.tick, tick.now) = (tick.tick + 40, tick.now.plus_ns(40_000_000));
+            tick.arms.first.measured = lost.map(|joint| {
+                let joints = JointVector::repeat(joint);
+                ArmState::at_rest(tick.now, joints, 0.3)
+            });
+            scene.measure(&tick);
+            assert_eq!(told(&scene, tick.tick), before);
+        }
     }
 }

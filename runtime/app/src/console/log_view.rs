@@ -11,7 +11,9 @@ use rtrb::RingBuffer;
 use trocar_control::{AnyController, ControlConfig, OperatingState};
 use trocar_log::live;
 use trocar_log::replay::ReplayError;
-use trocar_log::{LogEnd, LoggedItem, RunHeader, Step, TickRecord, read_items, read_steps};
+use trocar_log::{
+    BusesRecord, LogEnd, LoggedItem, RunHeader, Step, TickRecord, read_items, read_steps,
+};
 
 use super::encode;
 use super::facts::{EndFacts, EventFacts, Facts};
@@ -51,7 +53,8 @@ pub(super) struct LogView {
     /// The first tick, and when it was.
     first: (u64, TimeNs),
     images: Images,
-    scene: Option<LogScene>,
+    has_buses: bool,
+    scene: LogScene,
     /// The scene's file; none of a log without a scene.
     scene_file: Option<Bytes>,
     messages: LogMessages,
@@ -63,22 +66,18 @@ impl LogView {
     /// # Errors
     /// [`SessionError::Log`] or [`SessionError::Replay`].
     pub(super) fn read(path: &Path, views: bool) -> Result<Self, SessionError> {
-        let mut images = Images::default();
-        let (mut scenes, mut events) = (States::default(), Vec::new());
+        let (mut seen, mut events) = (Seen::default(), Vec::new());
         let mut messages = LogMessages::default();
         read_items(path, |shown| match shown {
-            LoggedItem::Image { camera, at, image } => images.keep(camera, at, image),
+            LoggedItem::Image { camera, at, image } => seen.images.keep(camera, at, image),
             LoggedItem::View {
                 camera,
                 at,
                 lens,
                 camera_in_scene,
-            } => images.keep_view(camera, at, (*lens, *camera_in_scene)),
-            LoggedItem::Scene { at, message } => {
-                if scenes.wants(at.tick()) {
-                    scenes.keep(at.tick(), message.into());
-                }
-            }
+            } => seen.images.keep_view(camera, at, (*lens, *camera_in_scene)),
+            LoggedItem::Scene { at, message } => seen.scenes.offer(at.tick(), message),
+            LoggedItem::Buses { at, message } => seen.buses.offer(at.tick(), message),
             LoggedItem::Event { at, text } => events.push((at, text.to_owned())),
             LoggedItem::Message { topic, at, data }
                 if views && live::camera_of(topic).is_none() =>
@@ -92,7 +91,7 @@ impl LogView {
             let recomputed = match &mut recomputed {
                 Some(recomputed) => recomputed,
                 None => {
-                    let seen = (std::mem::take(&mut images), std::mem::take(&mut scenes));
+                    let seen = std::mem::take(&mut seen);
                     recomputed.insert(Recomputed::new(header, seen)?)
                 }
             };
@@ -107,6 +106,11 @@ impl LogView {
     /// How many arms it is of, and the cameras that it has images of.
     pub(super) fn arms_and_cameras(&self) -> (usize, Vec<String>) {
         (self.facts.arms.len(), self.images.cameras())
+    }
+
+    /// Whether it says how its buses were.
+    pub(super) const fn has_buses(&self) -> bool {
+        self.has_buses
     }
 
     /// How long it is, s.
@@ -166,7 +170,7 @@ impl LogView {
     pub(super) fn number(&self, stream: Stream, seconds: f64) -> Option<u64> {
         let at = self.time(seconds);
         let image = self.image(stream, at).map(|(number, _)| number);
-        image.or_else(|| Some(self.scene.as_ref()?.tick(at.tick())? + 1))
+        image.or_else(|| Some(self.scene.tick(at.tick())? + 1))
     }
 
     /// That: the image in the log, or what is drawn of its scene.
@@ -182,14 +186,11 @@ impl LogView {
         if let Some((_, image)) = self.image(stream, at) {
             return Ok(Some(image));
         }
-        let Some(scene) = &self.scene else {
-            return Ok(None);
-        };
         if stream == Stream::SCENE {
-            return scene.places(at.tick());
+            return self.scene.places(at.tick());
         }
         match self.facts.cameras.get(usize::from(stream.camera)) {
-            Some(name) => scene.picture(name, stream, at.tick()),
+            Some(name) => self.scene.picture(name, stream, at.tick()),
             None => Ok(None),
         }
     }
@@ -207,6 +208,15 @@ impl LogView {
     fn tick(&self, seconds: f64) -> u64 {
         self.first.0.saturating_add((seconds * 1e3).round() as u64)
     }
+}
+
+/// What a log shows beside its ticks.
+#[derive(Debug, Default)]
+struct Seen {
+    images: Images,
+    /// Messages of the scene, and of the buses.
+    scenes: States,
+    buses: States,
 }
 
 /// Images by camera, in the order in which cameras first come.
@@ -314,7 +324,7 @@ impl Images {
     }
 }
 
-/// States, or scenes, by tick, a bounded number of bytes.
+/// States, scenes or what was said of buses, by tick, a bounded number of bytes.
 #[derive(Debug)]
 pub(super) struct States {
     kept: BTreeMap<u64, Box<str>>,
@@ -342,6 +352,19 @@ impl States {
         let before = self.kept.range(..=tick).next_back();
         let (tick, state) = before.or_else(|| self.kept.first_key_value())?;
         Some((*tick, state))
+    }
+
+    /// What was at `tick`, or the nearest before it.
+    fn before(&self, tick: u64) -> Option<&str> {
+        let before = self.kept.range(..=tick).next_back();
+        before.map(|(_, state)| &**state)
+    }
+
+    /// Keeps what was at `tick`, unless it is too near to what was kept before.
+    fn offer(&mut self, tick: u64, state: &str) {
+        if self.wants(tick) {
+            self.keep(tick, state.into());
+        }
     }
 
     fn wants(&self, tick: u64) -> bool {
@@ -377,8 +400,8 @@ struct Recomputed {
     tap: ControlTap,
     states: States,
     images: Images,
-    scene: Option<LogScene>,
-    scene_file: Option<Bytes>,
+    scene: LogScene,
+    buses: States,
     /// The newest that the controller was given.
     chunks: Option<PerArm<Chunk>>,
     events: Vec<EventFacts>,
@@ -392,7 +415,7 @@ struct Recomputed {
 }
 
 impl Recomputed {
-    fn new(header: &RunHeader, (images, scenes): (Images, States)) -> Result<Self, SessionError> {
+    fn new(header: &RunHeader, seen: Seen) -> Result<Self, SessionError> {
         let config = config(header)?;
         let controller = AnyController::new(&config)
             .map_err(|error| ReplayError::Controller(error.to_string()))?;
@@ -401,26 +424,32 @@ impl Recomputed {
         } else {
             &header.task
         };
-        let (scene, unshown) = LogScene::new(header, scenes).map_or_else(
-            |error| (None, Some(format!("its scene can't be shown: {error}"))),
-            |scene| (scene, None),
-        );
-        let facts = Facts::new(
+        let Seen {
+            images,
+            scenes,
+            buses,
+        } = seen;
+        let (scene, problem) = LogScene::new(header, scenes, &config.arms);
+        let mut facts = Facts::new(
             title,
             &header.policy,
             header.seed,
             &config,
             images.cameras(),
         );
-        let unshown = unshown.map(|text| EventFacts { seconds: 0.0, text });
+        facts = facts.drawn(scene.cameras());
+        if let Some(seconds) = scene.time_limit_s() {
+            facts = facts.within_s(seconds);
+        }
+        let unshown = problem.map(|problem| EventFacts {
+            seconds: 0.0,
+            text: format!("its scene can't be shown: {problem}"),
+        });
         Ok(Self {
-            facts: match &scene {
-                Some(scene) => facts.drawn(scene.cameras()).within_s(scene.time_limit_s()),
-                None => facts,
-            },
-            scene_file: scene.as_ref().and_then(|scene| scene.file(&config.arms)),
+            facts,
             images,
             scene,
+            buses,
             chunks: None,
             controller,
             tap: ControlTap::new(mailbox().0, mailbox().0, mailbox().0, RingBuffer::new(1).0),
@@ -478,6 +507,7 @@ impl Recomputed {
             .collect();
         if self.states.wants(record.tick) || states != self.was {
             self.was = states;
+            self.scene.measure(record);
             let state = self.state(record).json();
             self.states.keep(record.tick, state.into());
         }
@@ -485,17 +515,18 @@ impl Recomputed {
 
     /// What pages are told of this tick.
     fn state(&self, record: &TickRecord) -> State {
-        let scene = self.scene.as_ref();
-        let found = scene.and_then(|scene| Some((scene, scene.record(record.now.tick())?.1)));
+        let tick = record.now.tick();
         let mut lenses = self.images.lenses(record.now);
-        if let Some((scene, record)) = &found {
-            scene.add_lenses(&self.facts.cameras, record, &mut lenses);
-        }
+        self.scene
+            .add_lenses(&self.facts.cameras, tick, &mut lenses);
         let bases = &self.facts.rcms_in_scene;
         let chunks = self.chunks.as_ref();
         let paths = chunks.map(|chunks| paths(chunks, record.now, bases, &lenses));
         let sample = self.tap.sample(record);
-        let state = State::new(&sample, &self.facts, 0.0, found.map(|(_, it)| it.task));
+        let state = State::new(&sample, &self.facts, 0.0, self.scene.stood(tick));
+        let buses = self.buses.before(tick);
+        let buses = buses.and_then(|message| BusesRecord::read(message.as_bytes()));
+        let state = state.on_buses(buses.unwrap_or_default().buses);
         state.towards(paths.unwrap_or_default())
     }
 
@@ -536,6 +567,8 @@ impl Recomputed {
         self.events.drain(..surplus);
         let length = self.last.unwrap_or(first) - first;
         let mut facts = self.facts.of_log(seconds(length));
+        let scene_file = self.scene.file();
+        facts.scene = scene_file.is_some();
         facts.events = self.events;
         facts.outcome = end.outcome.as_ref().map(|outcome| EndFacts {
             success: outcome.success.filter(|_| !header.task.is_empty()),
@@ -546,8 +579,9 @@ impl Recomputed {
             states: self.states,
             first: (first, from),
             images: self.images,
+            has_buses: !self.buses.is_empty(),
             scene: self.scene,
-            scene_file: self.scene_file,
+            scene_file,
             messages: LogMessages::default(),
         }
     }
@@ -567,7 +601,7 @@ fn config(header: &RunHeader) -> Result<ControlConfig, SessionError> {
 #[cfg(test)]
 mod tests {
     use serde_json::Value;
-    use trocar_log::{Pressure, Recorder, RunLog};
+    use trocar_log::{BusRecord, Pressure, Recorder, RunLog};
     use trocar_tasks::simulation::{Rendering, Simulation};
 
     use super::*;
@@ -616,6 +650,7 @@ mod tests {
         );
         assert_eq!(facts["scene"], true);
         assert_eq!(view.arms_and_cameras(), (1, Vec::new()));
+        assert!(!view.has_buses());
         assert_eq!(&view.scene_file().unwrap()[..4], b"glTF");
 
         let (begin, end) = (state(&view, 0.0), state(&view, view.seconds()));
@@ -657,6 +692,7 @@ mod tests {
         }
     }
 
+    /// Of such a log the instruments are seen where they were measured, over what does not move, and how busy the buses were if it says so.
     #[test]
     fn a_log_without_scenes_shows_the_arms() {
         let folder = Scratch::folder("log-view-bare");
@@ -676,6 +712,16 @@ mod tests {
             tick_limit: 400,
         };
         episode.run(&timing, &mut bare).unwrap();
+        for (tick, load, errors) in [(100, 0.25, 0), (300, 0.5, 3)] {
+            let bus = BusRecord {
+                interface: "can0".to_owned(),
+                frames_per_s: 4000.0,
+                load,
+                errors,
+            };
+            let buses = vec![bus];
+            bare.0.buses(TimeNs::from_tick(tick), BusesRecord { buses });
+        }
         bare.0.finish(None).unwrap();
 
         let view = LogView::read(&path, false).unwrap();
@@ -683,21 +729,44 @@ mod tests {
         let none = serde_json::json!([]);
         assert_eq!((&facts["cameras"], &facts["depth"]), (&none, &none));
         assert_eq!(
-            (&facts["scene"], view.scene_file()),
-            (&Value::Bool(false), None)
+            (&facts["scene"], view.has_buses()),
+            (&Value::Bool(true), true)
         );
+        let file = view.scene_file().unwrap();
+        let file = String::from_utf8_lossy(&file);
+        for (part, is_there) in [("organ", true), ("left finger", true), ("needle", false)] {
+            let named = format!("\"name\":\"{part}\"");
+            assert_eq!(file.contains(&named), is_there, "{part}");
+        }
         let at = state(&view, 0.3);
         assert!(at["arms"][0]["measured"].is_array() && met(&at).is_empty());
+        assert!(at["task"].is_null(), "{at}");
+        let loads = [0.0, 0.11, 0.3, 0.31].map(|seconds| {
+            let state = state(&view, seconds);
+            let buses = state["buses"].as_array().cloned().unwrap_or_default();
+            let told = buses.into_iter().map(|bus| {
+                assert_eq!(bus["interface"], "can0");
+                bus["load"].as_f64().zip(bus["errors"].as_u64())
+            });
+            told.collect::<Option<Vec<_>>>().unwrap()
+        });
+        let none = Vec::new();
+        assert_eq!(
+            loads,
+            [none, vec![(0.25, 0)], vec![(0.5, 3)], vec![(0.5, 3)]]
+        );
+        let moved = [0.0, view.seconds()].map(|at| {
+            assert!(view.number(Stream::SCENE, at).is_some());
+            view.picture(Stream::SCENE, at).unwrap().unwrap()
+        });
+        assert_ne!(moved[0][encode::HEAD..], moved[1][encode::HEAD..]);
         // Without a camera there is still where the chunk leads in the scene.
         assert!(!at["paths"][0]["points"].as_array().unwrap().is_empty());
         let depth = Stream {
             camera: 0,
             plane: Plane::Depth,
         };
-        for stream in [Stream::SCENE, depth] {
-            assert_eq!(view.number(stream, 0.3), None);
-            assert!(view.picture(stream, 0.3).unwrap().is_none());
-        }
+        assert!(view.picture(depth, 0.3).unwrap().is_none());
     }
 
     /// Where a camera was when a chunk came is the newest that the log says of it.

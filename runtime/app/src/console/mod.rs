@@ -9,7 +9,7 @@
 //! `address` and `doors` say where it listens, `connection` how many connections it holds and for how long, `tls` and `certificate` how other machines reach
 //! it, `access` who may open it; `server` serves the page's files, `client` one page; `request` is what a page may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are
 //! what cameras show, `scene` the scene in three dimensions; `by_hand` takes the operator's hands (`session/teleop`); `facts`, `live` and
-//! `state` make what a run says, `path` where its chunks lead, `log_view` what a log says, `log_scene` where everything was in it, `dataset_view` what a dataset does. The page itself is in `page/`. `foxglove` tells
+//! `state` make what a run says, `path` where its chunks lead, `log_view` what a log says, `log_scene` where everything was in it, `dataset_view` what a dataset does, `dataset_scene` what is known of its scene. The page itself is in `page/`. `foxglove` tells
 //! other programs the same in the log's form, at a door of its own, what stands in `viewers`, of a log in `log_messages`.
 //!
 //! The page has exactly the operator's verbs, and they go the same way: over the run's own socket (`session/operator`). What its hands ask for
@@ -21,6 +21,7 @@ mod by_hand;
 mod certificate;
 mod client;
 mod connection;
+mod dataset_scene;
 mod dataset_view;
 mod doors;
 mod encode;

@@ -24,6 +24,11 @@ pub(super) struct Path {
     pictures: BTreeMap<u8, Vec<[f64; 2]>>,
 }
 
+/// The path through these `points` in the scene, of which it shows as many as one sees apart; the last one stays.
+pub(super) fn through(points: &[Point3<f64>], lenses: &Lenses) -> Path {
+    path(&thinned(points), lenses)
+}
+
 /// The paths of `chunks` after `now`, of arms whose remote centres are at `rcms_in_scene`; one for each arm, empty when its chunk is over.
 pub(super) fn paths(
     chunks: &PerArm<Chunk>,
@@ -55,12 +60,15 @@ fn points(chunk: &Chunk, now: TimeNs, base: &Pose) -> Vec<Point3<f64>> {
     let targets = chunk.valid_targets();
     let first = (0..targets.len()).find(|&index| chunk.due(index) >= now);
     let left = targets.get(first.unwrap_or(targets.len())..);
-    let left = left.unwrap_or_default();
-    let every = left.len().div_ceil(POINTS_MAX).max(1);
-    let thinned = left.iter().rev().step_by(every).rev();
-    thinned
-        .map(|target| base * Point3::from(target.position_m))
+    let left = thinned(left.unwrap_or_default()).into_iter();
+    left.map(|target| base * Point3::from(target.position_m))
         .collect()
+}
+
+/// Every so many of `all` that they are few; the last one stays.
+fn thinned<T: Copy>(all: &[T]) -> Vec<T> {
+    let every = all.len().div_ceil(POINTS_MAX).max(1);
+    all.iter().rev().step_by(every).rev().copied().collect()
 }
 
 fn project(lens: &Intrinsics, camera_in_scene: &Pose, point: &Point3<f64>) -> Option<[f64; 2]> {

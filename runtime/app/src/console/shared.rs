@@ -93,7 +93,7 @@ impl Shared {
     pub(super) fn show_log(&self, log: LogView) {
         let facts = log.facts();
         let (arms, cameras) = log.arms_and_cameras();
-        let channels = log_form::of_log(arms, &cameras);
+        let channels = log_form::of_log(arms, &cameras, log.has_buses());
         // Pages that are told of the scene ask for its file.
         self.show_scene(log.scene_file().unwrap_or_default());
         self.show(Shown::Log(Arc::new(log)));
@@ -104,6 +104,8 @@ impl Shared {
     /// From now on pages see a dataset.
     pub(super) fn show_dataset(&self, dataset: DatasetView) {
         let facts = dataset.facts();
+        // Pages that are told of the scene ask for its file.
+        self.show_scene(dataset.scene_file().unwrap_or_default());
         self.show(Shown::Dataset(Arc::new(dataset)));
         self.facts.send_replace(facts.into());
     }

@@ -3,12 +3,11 @@
 use hal::{ARM_NAMES, ArmCommand, ArmState, TimeNs};
 use serde::Serialize;
 use trocar_control::{GateDecision, QpOutcome};
-use trocar_log::{ArmRecord, CriterionRecord, TaskRecord};
+use trocar_log::{ArmRecord, BusRecord, CriterionRecord, TaskRecord};
 
 use super::facts::Facts;
 use super::path::Path;
 use super::tap::{Buckets, Changed, Counts, Refused, Sample, seconds};
-use crate::rig::can_traffic::{Bus, Buses};
 use crate::session::teleop::TeleopStatus;
 
 /// Axes of an arm: joints and jaw.
@@ -37,34 +36,10 @@ pub(super) struct State {
     teleop: Option<TeleopStatus>,
     /// The buses of arms on CAN.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    buses: Vec<BusState>,
+    buses: Vec<BusRecord>,
     /// Where the newest chunk leads, arm by arm.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     paths: Vec<Path>,
-}
-
-/// What the kernel counts of a bus.
-#[derive(Clone, Debug, Serialize)]
-pub(super) struct BusState {
-    interface: String,
-    frames_per_s: f64,
-    /// Share of the last second for which it was busy at most, at its bit rate.
-    load: f64,
-    /// Errors and dropped frames since the interface is there.
-    errors: u64,
-}
-
-impl BusState {
-    /// Those of `buses`, which have this bit rate, bit/s.
-    pub(super) fn of(buses: &Buses, bit_rate: u32) -> Vec<Self> {
-        let of = |bus: &Bus| Self {
-            interface: bus.name.clone(),
-            frames_per_s: bus.frames_per_s().round(),
-            load: rounded(bus.load(bit_rate)),
-            errors: bus.errors,
-        };
-        buses.all.iter().map(of).collect()
-    }
 }
 
 /// One arm, in joint order with the jaw last: rad, m, rad/s, m/s.
@@ -182,7 +157,7 @@ impl State {
     }
 
     /// The same with how busy these buses are.
-    pub(super) fn on_buses(mut self, buses: Vec<BusState>) -> Self {
+    pub(super) fn on_buses(mut self, buses: Vec<BusRecord>) -> Self {
         self.buses = buses;
         self
     }

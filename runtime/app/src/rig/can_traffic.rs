@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use hal::TimeNs;
+use trocar_log::{BusRecord, BusesRecord};
 
 use crate::rt::MonotonicClock;
 
@@ -67,6 +68,18 @@ impl Buses {
                 .collect(),
             clock: MonotonicClock::new(),
         }
+    }
+
+    /// What is known of them since they were last counted, at this bit rate, bit/s.
+    pub(crate) fn record(&self, bit_rate: u32) -> BusesRecord {
+        let record = |bus: &Bus| BusRecord {
+            interface: bus.name.clone(),
+            frames_per_s: bus.frames_per_s().round(),
+            load: (bus.load(bit_rate) * 1e5).round() * 1e-5,
+            errors: bus.errors,
+        };
+        let buses = self.all.iter().map(record).collect();
+        BusesRecord { buses }
     }
 
     /// Counts.

@@ -1,17 +1,23 @@
 //! A task's scene for whoever draws it without a renderer of ours: shapes, and where they and the cameras are at an instant.
 
 use hal::{Intrinsics, Mesh, Pose};
-use trocar_render::visual::{Visual, VisualPoses};
+use trocar_render::visual::{Visual, VisualPoses, instance};
 
 use super::View;
 use super::flap::DrawnFlap;
 use crate::SimulationError;
-use crate::scene::SceneSnapshot;
-use crate::task::{TaskConfig, TaskScene, scene_poses, scene_visuals};
+use crate::scene::{SceneSnapshot, THINGS_MAX};
+use crate::task::{TaskConfig, TaskScene, arms_poses, arms_visuals, scene_visuals};
+
+/// Places of things and goal by which what moves is told from what does not, m: in no order along any line are they the same.
+const PLACES_M: [[f64; 2]; 3] = [[1.0, 0.3], [-0.2, 1.0], [-1.0, -0.7]];
 
 /// The shapes of one episode. All poses are in the scene frame, in metres; cameras look along their z axis, x is to the right of the image.
 pub struct SceneModel {
-    scene: Box<dyn TaskScene>,
+    /// None of arms alone.
+    scene: Option<Box<dyn TaskScene>>,
+    /// Of each visual of the scene, whether it is shown; those of the arms follow.
+    shown: Vec<bool>,
     visuals: Vec<Visual>,
     flap: Option<DrawnFlap>,
     views: Vec<View>,
@@ -29,9 +35,60 @@ impl SceneModel {
         Self {
             flap: DrawnFlap::new(&*scene, &visuals),
             views: View::of_episode(task, seed, &task.drawn(seed)),
-            scene,
+            shown: vec![true; visuals.len()],
+            scene: Some(scene),
             visuals,
         }
+    }
+
+    /// What of that episode does not move, and the arms, whatever else there may be: of an episode of which it is known where the arms are, and not where
+    /// things are, nor the goal, nor a flap.
+    #[must_use]
+    pub fn at_rest(task: &TaskConfig, seed: u64) -> Self {
+        let mut model = Self::new(task, seed);
+        model.flap = None;
+        let Some(scene) = &model.scene else {
+            return model;
+        };
+        // What moves is elsewhere when things and goal are.
+        let poses = PLACES_M.map(|[x, y]| {
+            let place = Pose::translation(x, y, 0.0);
+            scene.visual_poses(&[place; THINGS_MAX], &place)
+        });
+        let rests = |index: usize| {
+            let mut places = poses.iter().map(|poses| poses.get(index));
+            let first = places.next();
+            places.all(|place| Some(place) == first)
+        };
+        let bends = |visual: &Visual| [instance::TISSUE, instance::MARK].contains(&visual.instance);
+        let own = model.visuals.iter().take(poses[0].len()).enumerate();
+        model.shown = own
+            .map(|(index, visual)| rests(index) && !bends(visual))
+            .collect();
+        let mut shown = model.shown.iter();
+        model
+            .visuals
+            .retain(|_| shown.next().is_none_or(|shown| *shown));
+        model
+    }
+
+    /// So many arms, and nothing around them.
+    #[must_use]
+    pub fn of_arms(count: usize) -> Self {
+        Self {
+            scene: None,
+            shown: Vec::new(),
+            visuals: arms_visuals(count),
+            flap: None,
+            views: Vec::new(),
+        }
+    }
+
+    /// The same without cameras.
+    #[must_use]
+    pub fn without_cameras(mut self) -> Self {
+        self.views.clear();
+        self
     }
 
     /// Everything that is drawn, a soft thing as it is before anything touches it.
@@ -43,7 +100,11 @@ impl SceneModel {
     /// Where each of the visuals is.
     #[must_use]
     pub fn poses(&self, snapshot: &SceneSnapshot) -> VisualPoses {
-        scene_poses(&*self.scene, snapshot)
+        let scene = self.scene.iter();
+        let poses = scene.flat_map(|scene| scene.visual_poses(&snapshot.things, &snapshot.goal));
+        let shown = poses.zip(&self.shown).filter(|(_, shown)| **shown);
+        let poses = shown.map(|(pose, _)| pose);
+        poses.chain(arms_poses(snapshot)).collect()
     }
 
     /// The visuals whose shape changes, by index, with the shapes that they have now.
@@ -69,5 +130,60 @@ impl SceneModel {
     pub fn camera_poses(&self, snapshot: &SceneSnapshot) -> Result<Vec<Pose>, SimulationError> {
         let placed = self.views.iter().map(|view| view.camera_in_scene(snapshot));
         placed.collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_world::ArmBodies;
+
+    use super::*;
+    use crate::simulation::{Rendering, Simulation};
+
+    /// The arms are where a simulation has them, from their joints alone, with the ground and without anything that moves on it.
+    #[test]
+    fn arms_and_what_rests_are_known_without_a_simulation() {
+        for name in TaskConfig::names() {
+            let task = TaskConfig::built_in(name).unwrap();
+            let simulation = Simulation::new(&task, 3, Rendering::Off).unwrap();
+            let whole = simulation.snapshot();
+            let mut arms = [None; hal::ARMS_MAX];
+            for (arm, start) in arms.iter_mut().zip(&task.arms) {
+                let jaw = start.jaw;
+                *arm = Some(ArmBodies::at(&start.scene_from_rcm, &start.joints, jaw));
+            }
+            let known = SceneSnapshot {
+                moment_ms: 0,
+                things: [Pose::identity(); THINGS_MAX],
+                goal: Pose::identity(),
+                arms,
+                flap: None,
+            };
+            let (all, mut rests) = (SceneModel::new(&task, 3), SceneModel::at_rest(&task, 3));
+            assert!(rests.bent(&known).is_empty(), "{name}");
+            let named = |model: &SceneModel, poses: VisualPoses| -> Vec<(&'static str, Pose)> {
+                let names = model.visuals().iter().map(|visual| visual.name);
+                assert_eq!(names.len(), poses.len(), "{name}");
+                names.zip(poses).collect()
+            };
+            let mut all = named(&all, all.poses(&whole)).into_iter();
+            let known = named(&rests, rests.poses(&known));
+            for (visual, pose) in &known {
+                let (_, expected) = all.find(|(other, _)| other == visual).unwrap();
+                let apart = expected.inv_mul(pose);
+                let turn = apart.rotation.angle();
+                assert!(
+                    apart.translation.vector.norm() < 1e-9 && turn < 1e-6,
+                    "{name}: {visual} {apart}"
+                );
+            }
+            assert!(known.len() > 4 * task.arms.len(), "{name}: no ground");
+            for moves in ["needle", "block", "flap", "mark"] {
+                assert!(known.iter().all(|(visual, _)| *visual != moves), "{name}");
+            }
+            let alone = SceneModel::of_arms(task.arms.len());
+            assert_eq!(alone.visuals().len(), 4 * task.arms.len());
+            assert_eq!(alone.cameras().count(), 0);
+        }
     }
 }

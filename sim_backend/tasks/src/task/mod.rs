@@ -45,7 +45,7 @@ pub use needle_start::NeedleStart;
 pub use patient::{Patient, PatientPlacement, patient_file, tissue_material};
 pub use variation::{Appearance, CannotVary, Drawn, Lens, Variation};
 pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
-pub(crate) use visuals::{scene_poses, scene_visuals};
+pub(crate) use visuals::{arms_poses, arms_visuals, scene_poses, scene_visuals};
 
 use crate::script::AnyScript;
 use common::CommonFile;

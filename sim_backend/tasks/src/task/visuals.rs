@@ -65,6 +65,12 @@ const SHAFT_COAT: Material = Material {
 /// What a task's cameras see: the task's own visuals, then those of each arm.
 pub(crate) fn scene_visuals(task: &TaskConfig) -> Vec<Visual> {
     let mut visuals = task.scene.visuals();
+    visuals.extend(arms_visuals(task.arms.len()));
+    visuals
+}
+
+/// What cameras see of the instruments of so many arms.
+pub(crate) fn arms_visuals(count: usize) -> Vec<Visual> {
     let ids = [
         [instance::SHAFT, instance::WRIST, instance::JAW],
         [
@@ -73,24 +79,27 @@ pub(crate) fn scene_visuals(task: &TaskConfig) -> Vec<Visual> {
             instance::SECOND_JAW,
         ],
     ];
-    for ids in ids.into_iter().take(task.arms.len()) {
-        visuals.extend(arm_visuals(ids));
-    }
-    visuals
+    ids.into_iter().take(count).flat_map(arm_visuals).collect()
 }
 
 /// Poses of the visuals in the scene frame.
 pub(crate) fn scene_poses(scene: &dyn TaskScene, snapshot: &SceneSnapshot) -> VisualPoses {
     let mut poses = scene.visual_poses(&snapshot.things, &snapshot.goal);
-    for arm in snapshot.arms.iter().flatten() {
-        poses.extend([
+    poses.extend(arms_poses(snapshot));
+    poses
+}
+
+/// Poses of the visuals of the instruments in the scene frame.
+pub(crate) fn arms_poses(snapshot: &SceneSnapshot) -> impl Iterator<Item = Pose> {
+    let arms = snapshot.arms.iter().flatten();
+    arms.flat_map(|arm| {
+        [
             arm.shaft,
             arm.wrist * drawn_from_joint(),
             arm.finger_left,
             arm.finger_right,
-        ]);
-    }
-    poses
+        ]
+    })
 }
 
 fn arm_visuals([shaft_id, wrist_id, jaw_id]: [u8; 3]) -> [Visual; 4] {

@@ -38,6 +38,24 @@ pub struct ArmBodies {
     pub tip: Pose,
 }
 
+impl ArmBodies {
+    /// Those of an arm whose remote centre is at `scene_from_rcm`, with these joints, rad (insertion m), and the jaw's angle, rad.
+    #[must_use]
+    pub fn at(scene_from_rcm: &Pose, joints: &JointVector, jaw: f64) -> Self {
+        Self::of(&Chain::new(scene_from_rcm, joints), jaw)
+    }
+
+    fn of(chain: &Chain, jaw: f64) -> Self {
+        Self {
+            shaft: chain.frames[3],
+            wrist: chain.frames[4],
+            finger_left: chain.finger(jaw, 1.0),
+            finger_right: chain.finger(jaw, -1.0),
+            tip: chain.tip,
+        }
+    }
+}
+
 /// Poses of the instrument's moving parts, in the order left finger, right finger, wrist.
 pub(super) type PartPoses = [Pose; 3];
 
@@ -181,14 +199,7 @@ impl ArmUnit {
     }
 
     pub(super) fn bodies(&self) -> ArmBodies {
-        let jaw = self.jaw();
-        ArmBodies {
-            shaft: self.chain.frames[3],
-            wrist: self.chain.frames[4],
-            finger_left: self.chain.finger(jaw, 1.0),
-            finger_right: self.chain.finger(jaw, -1.0),
-            tip: self.chain.tip,
-        }
+        ArmBodies::of(&self.chain, self.jaw())
     }
 
     /// The instrument as a flap meets it.

@@ -71,6 +71,7 @@ const heard = {
   frame(frame) {
     panels.frame(frame);
     episodes.frame(frame);
+    showPaths(frame.paths ?? []);
   },
   drives: (news) => drives.show(news),
   recording: (news) => recording.show(news),

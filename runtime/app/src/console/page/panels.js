@@ -73,6 +73,7 @@ export class Panels {
     this.#facts = facts;
     text(byId("title"), facts.title);
     const { episodes } = facts;
+    text(byId("path-name"), episodes ? "Path of the actions, 1 s" : "Path of the chunk");
     const how = episodes ? `dataset · ${episodes.length} ${episodes.length === 1 ? "episode" : "episodes"}` : facts.log ? "log" : { run: "live", recording: "recording", drives: "emulated drives" }[facts.subject];
     text(byId("about"), [how, facts.policy && `${episodes ? "by" : "policy"} ${facts.policy}`, !episodes && `seed ${facts.seed}`].filter(Boolean).join(" · "));
     document.title = `${facts.title} – Trocar console`;

@@ -11,14 +11,16 @@ use std::sync::Arc;
 
 use axum::body::Bytes;
 use hal::count::count_u32;
-use hal::{Mesh, Pose, TimeNs};
+use hal::{ARMS_MAX, ArmState, JOINT_COUNT, JointVector, Mesh, Pose, TimeNs};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use trocar_control::config::ArmConfig;
 use trocar_tasks::SimulationError;
 use trocar_tasks::cameras::SceneModel;
-use trocar_tasks::scene::SceneSnapshot;
+use trocar_tasks::scene::{SceneSnapshot, THINGS_MAX};
+use trocar_world::ArmBodies;
 
 use super::encode;
+use super::path::Lenses;
 use super::pictures::{Board, Stream};
 use glb::Writer;
 pub(super) use shapes::Shapes;
@@ -40,6 +42,48 @@ pub(super) fn file(
     }
     safety::draw(&mut writer, arms);
     Ok(writer.finish().into())
+}
+
+/// Joints of an arm, and its jaw.
+pub(super) const AXES: usize = JOINT_COUNT + 1;
+
+/// Joints and jaw of an arm in `state`, rad (insertion m).
+pub(super) fn axes(state: &ArmState) -> [f64; AXES] {
+    let joint = |axis: usize| state.position.get(axis).copied();
+    std::array::from_fn(|axis| joint(axis).unwrap_or(state.jaw_position))
+}
+
+/// The scene with arms alone: of each where its remote centre is in the scene, and its joints with the jaw, rad (insertion m).
+pub(super) fn of_arms(arms: impl Iterator<Item = (Pose, [f64; AXES])>) -> SceneSnapshot {
+    let mut bodies = [None; ARMS_MAX];
+    for (body, (base, axes)) in bodies.iter_mut().zip(arms) {
+        let (joints, jaw) = axes.split_at(JOINT_COUNT);
+        let joints = JointVector::from_column_slice(joints);
+        *body = Some(ArmBodies::at(&base, &joints, jaw[0]));
+    }
+    SceneSnapshot {
+        moment_ms: 0,
+        things: [Pose::identity(); THINGS_MAX],
+        goal: Pose::identity(),
+        arms: bodies,
+        flap: None,
+    }
+}
+
+/// Adds those of the cameras `names` that `model` has, as they are in `snapshot`, to `lenses`, each in its place among `names`.
+pub(super) fn add_lenses(
+    model: &SceneModel,
+    snapshot: &SceneSnapshot,
+    names: &[String],
+    lenses: &mut Lenses,
+) {
+    let poses = model.camera_poses(snapshot).ok();
+    for ((camera, lens), pose) in model.cameras().zip(poses.into_iter().flatten()) {
+        let place = (0..=u8::MAX).zip(names).find(|(_, name)| *name == camera);
+        if let Some((place, _)) = place {
+            lenses.entry(place).or_insert((lens, pose));
+        }
+    }
 }
 
 /// Where everything is at one instant, little endian: the head of a picture, then how many poses of visuals, of cameras and how many

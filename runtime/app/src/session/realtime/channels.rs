@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use hal::{ArmState, Chunk, PerArm};
 use rtrb::{Consumer, Producer, RingBuffer};
-use trocar_log::{LogFile, Recorder, SideLog, TickLog};
+use trocar_log::{LogFile, Recorder, SceneLog, SideLog, TickLog};
 
-use super::remote_arms::CanEventLog;
+use super::remote_arms::{BusLog, CanEventLog};
 use super::signals::Signals;
 use super::{CHUNK_QUEUE, listen, split};
 use crate::console::Console;
@@ -27,6 +27,8 @@ pub(super) struct ThreadChannels {
     pub(super) noticed: MailboxWriter<Noticed>,
     pub(super) seen: ObserverChannels,
     pub(super) chunk_in: Producer<PerArm<Chunk>>,
+    /// For a world that says where everything is.
+    pub(super) scenes: Option<SceneLog>,
     pub(super) log: Option<LogFile>,
     pub(super) listener: Option<Listener>,
 }
@@ -44,6 +46,8 @@ pub(super) struct ControlChannels {
 pub(super) struct ObserverChannels {
     pub(super) measured: MailboxReader<PerArm<ArmState>>,
     pub(super) news: CanEventLog,
+    /// The buses of arms on CAN, for the log.
+    pub(super) buses: Option<BusLog>,
     pub(super) log: Option<SideLog>,
     pub(super) signals: Arc<Signals>,
     pub(super) clock: MonotonicClock,
@@ -53,6 +57,9 @@ impl ObserverChannels {
     /// Writes into the log what has happened to arms, buses and policy.
     pub(super) fn tell(&mut self) {
         self.news.tell(&self.signals);
+        if let (Some(buses), Some(log)) = (&mut self.buses, &mut self.log) {
+            buses.tell(self.clock.now(), log);
+        }
         self.signals.write_told(self.log.as_mut());
     }
 }
@@ -71,8 +78,7 @@ impl ThreadChannels {
         let (noticed_in, noticed) = mailbox();
         let signals = Arc::new(Signals::of(console));
         let (listener, operator) = listen(false);
-        // The scene of arms outside of the process is not logged.
-        let (tick_log, side_log, _, log) = split(recorder);
+        let (tick_log, side_log, scenes, log) = split(recorder);
         Self {
             control: ControlChannels {
                 chunks,
@@ -86,11 +92,13 @@ impl ThreadChannels {
             seen: ObserverChannels {
                 measured,
                 news: CanEventLog::new(noticed),
+                buses: None,
                 log: side_log,
                 signals,
                 clock,
             },
             chunk_in,
+            scenes,
             log,
             listener,
         }

@@ -160,6 +160,7 @@ impl Others {
         let seen = ObserverChannels {
             measured: self.measured,
             news: CanEventLog::new(noticed),
+            buses: None,
             log,
             signals: Arc::clone(signals),
             clock,

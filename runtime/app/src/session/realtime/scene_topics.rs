@@ -1,7 +1,7 @@
 //! Where everything in a simulated scene is, on topics for whoever draws it, and for the pages of a console.
 
 use hal::TimeNs;
-use trocar_log::Level;
+use trocar_log::{Level, SceneLog};
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_topics::{
     Publisher, SnapshotReport, SnapshotTopic, Subscriber, TaskReport, TaskTopic, TopicNode,
@@ -15,7 +15,7 @@ use crate::mailbox::{MailboxReader, MailboxWriter};
 use crate::rt::MonotonicClock;
 use crate::session::source::STEP_NS;
 use crate::session::world_report::WorldName;
-use crate::session::{Plan, SessionError, snapshot_report};
+use crate::session::{Plan, SessionError, scene_record, snapshot_report};
 
 /// A scene at one instant.
 #[derive(Clone, Copy, Debug)]
@@ -140,6 +140,8 @@ pub(super) struct WorldTopics {
     task: Subscriber<TaskReport>,
     /// The scene that pages are shown, if there is one.
     scene: Option<SceneTap>,
+    /// Where all of it is written, if there is a log.
+    log: Option<LoggedWorld>,
 }
 
 impl WorldTopics {
@@ -148,6 +150,7 @@ impl WorldTopics {
             snapshots: SnapshotTopic::subscriber(node, FIRST_ARM)?,
             task: TaskTopic::subscriber(node, FIRST_ARM)?,
             scene: None,
+            log: None,
         })
     }
 
@@ -168,16 +171,62 @@ impl WorldTopics {
         self.scene.is_some()
     }
 
-    /// The same for pages, which are told by `task` how it stands.
-    pub(super) const fn shown_on(self, task: MailboxWriter<TaskReport>) -> WorldForPages {
+    /// The same, written into `log` if there is one.
+    pub(super) fn logged_in(self, log: Option<SceneLog>) -> Self {
+        let log = log.map(LoggedWorld::new);
+        Self { log, ..self }
+    }
+
+    /// The same for whoever looks on; pages, if there are any, are told by `task` how it stands.
+    pub(super) const fn told_to(self, task: Option<MailboxWriter<TaskReport>>) -> WorldForPages {
         WorldForPages { from: self, task }
     }
 }
 
-/// What pages of a console see of a world in another process.
+/// A world in another process as a log has it: each scene with how the task stood in it.
+struct LoggedWorld {
+    log: SceneLog,
+    /// The newest scene, which waits for how the task stands, and when it was by the run's clock.
+    waits: Option<(TimeNs, SnapshotReport)>,
+    /// How the task stood last.
+    stands: TaskReport,
+}
+
+impl LoggedWorld {
+    fn new(log: SceneLog) -> Self {
+        Self {
+            log,
+            waits: None,
+            stands: TaskReport::default(),
+        }
+    }
+
+    /// Takes in what is new. A scene is written when it is known how its task stands, or when the next one comes.
+    fn hear(&mut self, task: Option<TaskReport>, scene: Option<(TimeNs, SnapshotReport)>) {
+        if scene.is_some() {
+            self.write();
+            self.waits = scene;
+        }
+        self.stands = task.unwrap_or(self.stands);
+        let stamp = self.waits.as_ref().map(|(_, report)| report.stamp);
+        if stamp.is_some_and(|stamp| self.stands.stamp >= stamp) {
+            self.write();
+        }
+    }
+
+    fn write(&mut self) {
+        if let Some((at, report)) = self.waits.take() {
+            let scene = snapshot_report::scene(&report);
+            let record = scene_record::record(&scene, &self.stands);
+            self.log.scene(at, record);
+        }
+    }
+}
+
+/// What pages of a console, and a log, are told of a world in another process.
 pub(super) struct WorldForPages {
     from: WorldTopics,
-    task: MailboxWriter<TaskReport>,
+    task: Option<MailboxWriter<TaskReport>>,
 }
 
 /// What hands the newest instant to pages.
@@ -188,20 +237,23 @@ pub(super) trait ForPages {
 
 impl ForPages for WorldForPages {
     fn turn(&mut self, clock: MonotonicClock) -> Result<(), SessionError> {
-        if let Some(report) = self.from.task.newest()? {
-            self.task.put(report);
+        let task = self.from.task.newest()?;
+        if let (Some(report), Some(pages)) = (task, &mut self.task) {
+            pages.put(report);
         }
-        if let Some(report) = self.from.snapshots.newest()?
-            && let Some(scene) = &mut self.from.scene
-        {
-            let stamp = clock.from_system(report.stamp);
-            scene.show(&snapshot_report::scene(&report), stamp)?;
+        let scene = self.from.snapshots.newest()?;
+        let scene = scene.map(|report| (clock.from_system(report.stamp), report));
+        if let Some(log) = &mut self.from.log {
+            log.hear(task, scene);
+        }
+        if let (Some((stamp, report)), Some(pages)) = (scene, &mut self.from.scene) {
+            pages.show(&snapshot_report::scene(&report), stamp)?;
         }
         Ok(())
     }
 }
 
-/// Hands the newest instant to the pages of `scene`, if there is one; one that can't be shown ends with a word, the run goes on.
+/// Hands the newest instant to the pages and the log of `scene`, if there is one; one that can't be shown ends with a word, the run goes on.
 pub(super) fn show_pages(
     scene: &mut Option<impl ForPages>,
     clock: MonotonicClock,
@@ -211,7 +263,7 @@ pub(super) fn show_pages(
         return;
     };
     if let Err(error) = pages.turn(clock) {
-        let text = format!("the console is shown no more of the scene: {error}");
+        let text = format!("console and log are told no more of the scene: {error}");
         signals.tell(clock.now(), Level::Warning, &text);
         *scene = None;
     }
@@ -223,8 +275,58 @@ fn bit(camera: usize) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use trocar_log::{LoggedItem, Pressure, Recorder, RunHeader, SceneRecord, read_items};
+    use trocar_topics::Line;
+
     use super::super::cameras_process::is_wanted;
     use super::*;
+    use crate::session::scratch::Scratch;
+
+    /// A scene is written once, with how its own task stood, though that comes after it, or else with the newest that is known.
+    #[test]
+    fn a_world_is_logged_with_how_its_task_stood() {
+        let folder = Scratch::folder("logged-world");
+        let path = folder.0.join("run.mcap");
+        let recorder = Recorder::create(&path, &RunHeader::default(), Pressure::Block).unwrap();
+        let (_ticks, _side, scenes, file) = recorder.split();
+        let mut world = LoggedWorld::new(scenes);
+        let scene = |tick: u64| {
+            let report = SnapshotReport {
+                stamp: TimeNs::from_tick(1000 + tick),
+                moment_ms: tick,
+                ..SnapshotReport::default()
+            };
+            Some((TimeNs::from_tick(tick), report))
+        };
+        let task = |tick: u64| {
+            Some(TaskReport {
+                stamp: TimeNs::from_tick(1000 + tick),
+                missing: Line::new(&format!("of {tick}")),
+                ..TaskReport::default()
+            })
+        };
+        world.hear(None, scene(0));
+        world.hear(task(0), None);
+        world.hear(task(40), scene(40));
+        world.hear(None, None);
+        // How the task stood at 80 is missed.
+        world.hear(None, scene(80));
+        world.hear(None, scene(120));
+        world.hear(task(120), None);
+        drop(world);
+        file.finish(None).unwrap();
+        let mut told = Vec::new();
+        read_items(&path, |item| {
+            if let LoggedItem::Scene { at, message } = item {
+                let record = SceneRecord::read(message.as_bytes()).unwrap();
+                told.push((at.tick(), record.moment_ms, record.task.missing));
+            }
+        })
+        .unwrap();
+        let expected = [(0, 0), (40, 40), (80, 40), (120, 120)];
+        let expected = expected.map(|(at, of)| (u64::from(at), at, format!("of {of}")));
+        assert_eq!(told, expected);
+    }
 
     /// What is asked for here is what the process finds.
     #[test]

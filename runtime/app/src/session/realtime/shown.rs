@@ -89,8 +89,9 @@ impl CameraPages {
 
 /// What pages are shown of arms outside of this process.
 pub(super) struct RigPages {
-    pub(super) cameras: CameraPages,
-    /// Of a task.
+    /// If there is a console.
+    pub(super) cameras: Option<CameraPages>,
+    /// Of a task, for a console or a log.
     pub(super) world: Option<WorldForPages>,
 }
 
@@ -110,13 +111,13 @@ pub(super) fn show_world(
 }
 
 /// Shows a run without a simulation of its own, whose arms are on these interfaces with this bit rate, bit/s, with these cameras and, of a task, its
-/// world: what pages are shown while it goes on, if there is a console.
+/// world: what pages and log are told while it goes on.
 pub(super) fn show_rig<S: Arms>(
     plan: &Plan<S>,
     (interfaces, bit_rate): (Vec<String>, u32),
     (cameras, world): (Vec<String>, Option<WorldTopics>),
     (listener, port): (Option<&Listener>, &mut OperatorPort),
-) -> Option<RigPages> {
+) -> RigPages {
     let task = plan.setup.task();
     let title = task.map_or("robot", |setup| setup.task_name.as_str());
     let mut facts = facts_of(plan, title, cameras.clone()).on_buses(interfaces, bit_rate);
@@ -126,7 +127,10 @@ pub(super) fn show_rig<S: Arms>(
     }
     let Some(console) = &plan.console else {
         show_operator(facts, listener, port);
-        return None;
+        return RigPages {
+            cameras: None,
+            world: world.map(|world| world.told_to(None)),
+        };
     };
     if world.as_ref().is_some_and(WorldTopics::has_scene) {
         facts = facts.with_scene();
@@ -136,10 +140,10 @@ pub(super) fn show_rig<S: Arms>(
         listener.show(taps.view);
     }
     port.tap = Some(taps.control);
-    Some(RigPages {
-        cameras: CameraPages::of(console, cameras),
-        world: world.map(|world| world.shown_on(taps.task)),
-    })
+    RigPages {
+        cameras: Some(CameraPages::of(console, cameras)),
+        world: world.map(|world| world.told_to(Some(taps.task))),
+    }
 }
 
 /// Shows a run that no page shows to whoever asks at `listener`.

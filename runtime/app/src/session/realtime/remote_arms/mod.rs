@@ -17,6 +17,7 @@
 
 mod awaited;
 mod bring_up;
+mod bus_log;
 mod can;
 mod conclude;
 mod happened;
@@ -53,6 +54,7 @@ use scene_thread::{SceneThread, frames};
 
 pub use awaited::PrintLine;
 pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS, Wanted, cameras};
+pub(super) use bus_log::BusLog;
 pub use can::CanOptions;
 pub(super) use happened::CanEventLog;
 pub(super) use scene_thread::{arm_reports, logged, seen_at};
@@ -198,9 +200,12 @@ fn run_task<L: ArmLink>(
     let at = (link.topics(), link.host());
     let world = awaited::world(&scene, at, say)?;
     check_world(&world, plan, at)?;
-    let mut shown = None;
-    if let Some(console) = &plan.console {
-        let world = WorldTopics::open(&begun.node)?;
+    let is_told = plan.console.is_some() || plan.log.is_some();
+    let open = || WorldTopics::open(&begun.node);
+    let mut shown = is_told.then(open).transpose()?;
+    if let Some(console) = &plan.console
+        && let Some(world) = shown.take()
+    {
         let start = awaited::start(&world, link.topics(), say)?;
         shown = Some(show_world((plan, console), world, start.as_ref())?);
     }
@@ -215,10 +220,10 @@ fn run_task<L: ArmLink>(
             Some(_) => plan.setup.cameras_with(Vec::new()),
             None => Vec::new(),
         };
-        let (camera_pages, world_pages) = match watching.pages {
-            Some(RigPages { cameras, world }) => (Some(cameras), world),
-            None => (None, None),
-        };
+        let RigPages {
+            cameras: camera_pages,
+            world: world_pages,
+        } = watching.pages;
         let names = match &camera_pages {
             Some(_) => plan.setup.camera_names(),
             None => logged.clone(),
@@ -294,7 +299,7 @@ fn run_robot<L: ArmLink>(
         let supervised = (plan.setup.robot().control.supervision, plan.warn);
         let robot_thread = RobotThread::new(seen, local, reports, cameras, (asked, supervised));
         let robot_thread = robot_thread.moved_by(by_hand);
-        let robot_thread = robot_thread.shown_on(pages.map(|pages| pages.cameras));
+        let robot_thread = robot_thread.shown_on(pages.cameras);
         let robot_thread = robot_thread.woken_by(node.events()?);
         Ok(|| robot_thread.run())
     })
@@ -310,8 +315,8 @@ struct Watching {
     reports: Vec<Publisher<ArmReport>>,
     /// Cameras that were waited for, and how many of them the policy, or an operator, looks through: the first.
     cameras: (Vec<Camera>, usize),
-    /// What pages are shown, if there is a console.
-    pages: Option<RigPages>,
+    /// What pages and log are told.
+    pages: RigPages,
 }
 
 /// What is seen of the arms and what is around them.
@@ -320,7 +325,7 @@ struct Views<'a> {
     within_ms: u64,
     /// Cameras that are waited for besides the policy's.
     asked: &'a [String],
-    /// Of a task what pages are shown, if there is a console.
+    /// Of a task what pages and log are told, if there are some.
     world: Option<WorldTopics>,
 }
 
@@ -366,7 +371,10 @@ impl<L: ArmLink> Begun<'_, L> {
             None => cameras.iter().map(|(name, _)| name.clone()).collect(),
         };
         let buses = link.buses(robot.arms());
-        let pages = show_rig(plan, buses, (names, views.world), port);
+        channels.seen.buses = BusLog::of(&buses);
+        let world = views.world;
+        let world = world.map(|world| world.logged_in(channels.scenes));
+        let pages = show_rig(plan, buses, (names, world), port);
         let reports = arm_reports(&node, robot.arms(), child.is_some())?;
         let (local, remote) = wired(plan, source, child.as_mut(), channels.chunk_in, clock);
         let (by_hand, local, hands) = ByHand::of(plan, local);
