@@ -64,6 +64,8 @@ def parsed(parser: argparse.ArgumentParser) -> argparse.Namespace:
     options = parser.parse_args()
     if options.actions is not None and options.fps is None:
         fail("--fps must be given with --actions: the file does not say how fast its steps follow each other")
+    if options.fps is not None and options.actions is None:
+        fail("--fps goes with --actions: without it no trocar.json is written")
     return options
 
 

@@ -299,7 +299,7 @@ fn a_simulated_run_keeps_its_log_unasked() {
     // While another run has this name, a log of its own.
     let other = fs::File::open(kept.with_file_name("simulation.lock")).unwrap();
     other.lock().unwrap();
-    let (before, second) = (fs::read(&kept).unwrap(), "simulation-2.mcap");
+    let (before, second) = (fs::read(&kept).unwrap(), "simulation.2.mcap");
     let (code, said) = run(&[]);
     assert!(code == Some(1) && said.contains(second), "{said}");
     let log = RunLog::open(&kept.with_file_name(second)).unwrap();

@@ -42,9 +42,9 @@ impl AnyController {
     /// One control period of all arms, as [`Controller::tick_arms`].
     ///
     /// # Panics
-    /// If `inputs` have another number of arms than [`Self::arm_count`]. A session's rig moves the arms of the controller's configuration; who
-    /// reads inputs from a log compares the numbers first.
-    #[expect(clippy::panic, reason = "a broken invariant, which no input reaches")]
+    /// If `inputs` have another number of arms than [`Self::arm_count`]: who has them from a log, or from a rig of another's, compares the
+    /// numbers first.
+    #[expect(clippy::panic, reason = "the caller compares the numbers first")]
     pub fn tick(&mut self, inputs: &PerArm<TickInput<'_>>) -> PerArm<TickOutput> {
         match (self, inputs.second) {
             (Self::One(controller), None) => PerArm::one(controller.tick(&inputs.first)),

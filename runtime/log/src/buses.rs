@@ -1,4 +1,4 @@
-//! CAN buses of a run's arms: how busy they are, and what goes wrong on them.
+//! CAN buses of a run's arms: their load and error counters.
 
 use serde::{Deserialize, Serialize};
 

@@ -183,7 +183,7 @@ impl SideLog {
         }
     }
 
-    /// Writes how busy the buses were at `at`, and what went wrong on them.
+    /// Writes the load and the error counters of the buses at `at`.
     pub fn buses(&mut self, at: TimeNs, buses: BusesRecord) {
         if !self.queue.push(SideItem::Buses { at, buses }) {
             self.shared.events_dropped.fetch_add(1, Ordering::Relaxed);

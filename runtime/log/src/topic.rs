@@ -20,7 +20,7 @@ pub const TASK: &str = "/task";
 /// The topic of CAN buses.
 pub const BUSES: &str = "/buses";
 
-/// A topic that every log has. Cameras come on top, one pair of topics each.
+/// A topic that every log has; that of buses has messages in logs of CAN alone. Cameras come on top, one pair of topics each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Topic {
     /// What the arm measured.

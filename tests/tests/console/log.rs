@@ -103,7 +103,7 @@ pub(crate) fn as_if_on_can(log: &Path, to: &Path) {
     recorder.finish(read.outcome.as_ref()).unwrap();
 }
 
-/// The page on the log of a CAN run says how busy its bus was and what went wrong on it, at each place of the time line; it has the instruments and the
+/// The page on the log of a CAN run says the load and the errors of its bus at each place of the time line; it has the instruments and the
 /// ground, and no needle.
 #[test]
 fn a_log_of_a_bus_is_looked_through() {

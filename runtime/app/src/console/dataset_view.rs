@@ -13,6 +13,7 @@ use trocar_data::dataset::{
     ACTION_WIDTH, CameraSpec, Dataset, Episode, Notes, STATE_WIDTH, TIP_POSE_WIDTH,
 };
 use trocar_data::relative_action::pose_from_numbers;
+use trocar_tasks::task::TaskFiles;
 
 use super::dataset_scene::DatasetScene;
 use super::facts::{AxisRange, EpisodeFacts, EventFacts, Facts, OfDataset};
@@ -22,6 +23,9 @@ use crate::session::{PolicyChoice, SessionError, Setup};
 
 /// How far ahead a path shows the actions, s.
 const PATH_S: u32 = 1;
+
+/// Frames that it has at most, whatever rate a dataset says it has.
+const PATH_FRAMES_MAX: usize = 1000;
 
 /// Room at either end of a range that values alone tell, rad and m.
 const ROOM: f64 = 1e-3;
@@ -158,7 +162,7 @@ impl DatasetView {
 
     /// How many frames a path is long: some chunk's time.
     fn path_frames(&self) -> usize {
-        (PATH_S * self.dataset.fps()) as usize
+        ((PATH_S * self.dataset.fps()) as usize).min(PATH_FRAMES_MAX)
     }
 
     fn arm(&self, name: &'static str, episode: Episode, frame: usize, arm: usize) -> ArmOfFrame {
@@ -256,6 +260,8 @@ fn facts(
 
 /// The dataset's task with the limits of its arms, if it is a built-in one.
 fn setup(dataset: &Dataset) -> Option<Setup> {
+    // A dataset's word for its task is no path to look into.
+    let _built_in = TaskFiles::built_in(dataset.task())?;
     let setup = Setup::load(dataset.task(), None, &PolicyChoice::Noop).ok()?;
     (setup.robot.control.arms.len() == dataset.arms()).then_some(setup)
 }

@@ -33,6 +33,9 @@ const EVERY_TICKS: u64 = 20;
 /// Bytes of states that are kept, of some ten minutes of one arm, and of scenes; of longer logs they are further apart.
 const STATE_BYTES_MAX: usize = 64 << 20;
 
+/// One that is longer, bytes, is no state, scene or bus of ours, and let go.
+const STATE_LEN_MAX: usize = 64 << 10;
+
 /// Bytes of images that are kept; of more, every second one goes.
 const IMAGE_BYTES_MAX: usize = 256 << 20;
 
@@ -362,14 +365,14 @@ impl States {
 
     /// Keeps what was at `tick`, unless it is too near to what was kept before.
     fn offer(&mut self, tick: u64, state: &str) {
-        if self.wants(tick) {
+        if state.len() <= STATE_LEN_MAX && self.wants(tick) {
             self.keep(tick, state.into());
         }
     }
 
     fn wants(&self, tick: u64) -> bool {
         let newest = self.kept.last_key_value();
-        newest.is_none_or(|(newest, _)| tick >= newest + self.every_ticks)
+        newest.is_none_or(|(newest, _)| tick >= newest.saturating_add(self.every_ticks))
     }
 
     pub(super) fn keep(&mut self, tick: u64, state: Box<str>) {
@@ -382,10 +385,11 @@ impl States {
 
     /// Lets those go that are less than twice as far apart as before.
     fn thin_out(&mut self) {
-        self.every_ticks *= 2;
+        self.every_ticks = self.every_ticks.saturating_mul(2);
         let (every_ticks, mut newest) = (self.every_ticks, None);
         self.kept.retain(|tick, _| {
-            let keeps = newest.is_none_or(|newest| *tick >= newest + every_ticks);
+            let keeps =
+                newest.is_none_or(|newest| *tick >= u64::saturating_add(newest, every_ticks));
             newest = if keeps { Some(*tick) } else { newest };
             keeps
         });
@@ -692,7 +696,7 @@ mod tests {
         }
     }
 
-    /// Of such a log the instruments are seen where they were measured, over what does not move, and how busy the buses were if it says so.
+    /// Of such a log the instruments are seen where they were measured, over what does not move, and the load of the buses if it says so.
     #[test]
     fn a_log_without_scenes_shows_the_arms() {
         let folder = Scratch::folder("log-view-bare");

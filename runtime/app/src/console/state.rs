@@ -156,7 +156,7 @@ impl State {
         self
     }
 
-    /// The same with how busy these buses are.
+    /// The same with the load of these buses.
     pub(super) fn on_buses(mut self, buses: Vec<BusRecord>) -> Self {
         self.buses = buses;
         self

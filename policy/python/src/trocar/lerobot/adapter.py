@@ -55,7 +55,7 @@ class ServedPolicy:
 
     A session's observations are 40 ms apart; of those the model is shown the nearest to each instant of its own.
 
-    Raises PolicyError if the features are no robot's, or two instants of the history would be nearest to the same observation.
+    Raises PolicyError if the features are no robot's, or an instant of the history is further than half a step from the nearest observation.
     """
 
     def __init__(

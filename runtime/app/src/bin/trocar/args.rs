@@ -390,7 +390,7 @@ pub(crate) struct RunArgs {
     #[arg(long, value_name = "FILE.mcap")]
     pub(crate) log: Option<PathBuf>,
     /// Keep no log. Without this and --log the last 256 MB of a run in real time are kept in ~/.local/state/trocar/black-box (of a service,
-    /// in its state folder), as simulation.mcap or, with --backend can or topics, TOPICS.mcap, and the run before it beside it, as .before.mcap.
+    /// in its state folder), as simulation.mcap or, with --backend can or topics, TOPICS.mcap (.2.mcap of a second run at the same time), and the run before it beside it, as .before.mcap.
     #[arg(long, conflicts_with = "log")]
     pub(crate) no_log: bool,
     /// What the log takes at most, MB: it keeps the last part, in FILE.mcap and, from before it, FILE.earlier.mcap.

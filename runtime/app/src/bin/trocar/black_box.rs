@@ -67,7 +67,7 @@ fn folder() -> io::Result<PathBuf> {
 }
 
 /// The log of a run on the topics of that name, or of the simulation, with the one before it set aside. Runs at the same time have
-/// one each: `NAME.mcap`, `NAME-2.mcap` and so on.
+/// one each: `NAME.mcap`, `NAME.2.mcap` and so on.
 fn kept(folder: &Path, name: &str) -> io::Result<PathBuf> {
     // Another name is refused where the topics are opened.
     if Path::new(name).file_name() != Some(name.as_ref()) {
@@ -102,12 +102,12 @@ fn kept(folder: &Path, name: &str) -> io::Result<PathBuf> {
     Ok(file(""))
 }
 
-/// The first of the names `name`, `name-2` ... that no other run has. It is this process' own for as long as it lives.
+/// The first of the names `name`, `name.2` ... that no other run has; names of topics have no dot. It is this process' own for as long as it lives.
 fn own_name(folder: &Path, name: &str) -> io::Result<String> {
     for number in 1..=AT_A_TIME {
         let own = match number {
             1 => name.to_owned(),
-            _ => format!("{name}-{number}"),
+            _ => format!("{name}.{number}"),
         };
         let lock = File::create(folder.join(format!("{own}.lock")))?;
         match lock.try_lock() {

@@ -263,7 +263,7 @@ fn a_pulled_node_stops_the_others_and_is_named() {
     }
 }
 
-/// The page names every drive's state, and how busy the bus is.
+/// The page names every drive's state, and the load of the bus.
 #[test]
 fn a_page_is_told_of_every_drive_and_bus() {
     let console = Console::open("127.0.0.1:0".parse().unwrap()).unwrap();

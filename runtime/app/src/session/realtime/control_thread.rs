@@ -129,6 +129,10 @@ impl ControlThread {
             let Some(measured) = period.measured else {
                 continue;
             };
+            // A rig of one's own may have another number of arms, at any time: `run_rig` says so.
+            if measured.count() != self.controller.arm_count() {
+                break;
+            }
             let operator = match (tally.ticks(), done) {
                 (0, false) => Some(OperatorEvent::Enable),
                 (0, true) => None,

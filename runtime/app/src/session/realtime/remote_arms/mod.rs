@@ -202,7 +202,13 @@ fn run_task<L: ArmLink>(
     check_world(&world, plan, at)?;
     let is_told = plan.console.is_some() || plan.log.is_some();
     let open = || WorldTopics::open(&begun.node);
-    let mut shown = is_told.then(open).transpose()?;
+    let mut shown = match (is_told.then(open).transpose(), &plan.console) {
+        (Err(error), None) => {
+            say(&format!("the log has no scene: {error}"));
+            None
+        }
+        (opened, _) => opened?,
+    };
     if let Some(console) = &plan.console
         && let Some(world) = shown.take()
     {
