@@ -8,6 +8,7 @@ use axum::body::Bytes;
 use hal::config::Source;
 use hal::{CameraFrame, TimeNs};
 use trocar_control::config::ArmConfig;
+use trocar_control::motion::{AXES, MotionState};
 use trocar_log::{RunHeader, SceneRecord, TaskRecord, TickRecord};
 use trocar_tasks::cameras::{SceneCameras, SceneModel};
 use trocar_tasks::scene::SceneSnapshot;
@@ -16,7 +17,6 @@ use trocar_tasks::task::{TaskConfig, Variation, View};
 use super::log_view::States;
 use super::path::Lenses;
 use super::pictures::{Drawn, Pixels, Plane, Stream};
-use super::scene::AXES;
 use super::{encode, scene};
 use crate::session::{SessionError, scene_record};
 
@@ -99,11 +99,16 @@ impl LogScene {
 
     /// Takes in where the arms were measured in a tick, which is the scene where nothing says more.
     pub(super) fn measure(&mut self, record: &TickRecord) {
+        if self.is_whole {
+            return;
+        }
         let measured = record.arms.iter().map(|arm| arm.measured.as_ref().ok());
         let finite = measured.map(|arm| arm.filter(|state| state.is_finite()));
-        let axes: Option<Vec<_>> = finite.map(|arm| arm.map(scene::axes)).collect();
+        let axes: Option<Vec<_>> = finite
+            .map(|arm| arm.map(|state| MotionState::at_rest(state).position))
+            .collect();
         let text = axes.and_then(|axes| serde_json::to_string(&axes).ok());
-        if let Some(text) = text.filter(|_| !self.is_whole) {
+        if let Some(text) = text {
             self.records.keep(record.now.tick(), text.into());
         }
     }
@@ -118,16 +123,6 @@ impl LogScene {
     /// When its episode is given up, s, if it is of a task.
     pub(super) fn time_limit_s(&self) -> Option<f64> {
         self.task.as_ref().map(|task| task.time_limit_s)
-    }
-
-    /// How its task stood at `tick`, or the nearest before it, if the log says so.
-    pub(super) fn stood(&self, tick: u64) -> Option<TaskRecord> {
-        self.record(tick).map(|record| record.task)
-    }
-
-    fn record(&self, tick: u64) -> Option<SceneRecord> {
-        let (_, message) = self.records.at(tick).filter(|_| self.is_whole)?;
-        SceneRecord::read(message.as_bytes())
     }
 
     /// The tick of what there is to see of `tick`.
@@ -154,11 +149,17 @@ impl LogScene {
         Ok(Some(message.into()))
     }
 
-    /// Adds those of the cameras `names` that are of this scene, as they are at `tick`, to `lenses`, each in its place among `names`.
-    pub(super) fn add_lenses(&self, names: &[String], tick: u64, lenses: &mut Lenses) {
-        if let Some((_, snapshot)) = self.snapshot(tick) {
-            scene::add_lenses(&self.drawing().model, &snapshot, names, lenses);
-        }
+    /// How its task stood at `tick`, or the nearest before it, if the log says so; adds those of the cameras `names` that are of this scene, as they are
+    /// then, to `lenses`, each in its place among `names`.
+    pub(super) fn stood(
+        &self,
+        tick: u64,
+        names: &[String],
+        lenses: &mut Lenses,
+    ) -> Option<TaskRecord> {
+        let (_, snapshot, task) = self.known(tick)?;
+        scene::add_lenses(&self.drawing().model, &snapshot, names, lenses);
+        task
     }
 
     /// What the camera `name` saw at `tick`, the plane of `stream`; none if there is no such camera, or nothing that draws, which is an error once.
@@ -199,15 +200,20 @@ impl LogScene {
     }
 
     fn snapshot(&self, tick: u64) -> Option<(u64, SceneSnapshot)> {
+        self.known(tick).map(|(of, snapshot, _)| (of, snapshot))
+    }
+
+    /// The tick of what is known of `tick`, where everything was, and how the task stood if the log says so.
+    fn known(&self, tick: u64) -> Option<(u64, SceneSnapshot, Option<TaskRecord>)> {
         let (of, message) = self.records.at(tick)?;
-        let snapshot = if self.is_whole {
-            scene_record::snapshot(&self.record(tick)?)
-        } else {
-            let axes: Vec<[f64; AXES]> = serde_json::from_str(message).ok()?;
-            let arms = self.arms.iter().map(|arm| arm.scene_from_rcm).zip(axes);
-            Some(scene::of_arms(arms))
-        };
-        Some((of, snapshot?))
+        if self.is_whole {
+            let record = SceneRecord::read(message.as_bytes())?;
+            let snapshot = scene_record::snapshot(&record)?;
+            return Some((of, snapshot, Some(record.task)));
+        }
+        let axes: Vec<[f64; AXES]> = serde_json::from_str(message).ok()?;
+        let arms = self.arms.iter().map(|arm| arm.scene_from_rcm).zip(axes);
+        Some((of, scene::of_arms(arms), None))
     }
 
     fn drawing(&self) -> MutexGuard<'_, Drawing> {
@@ -338,7 +344,7 @@ mod tests {
                 }
                 let names = ["elsewhere".to_owned(), scene.cameras().remove(0)];
                 let mut lenses = Lenses::new();
-                scene.add_lenses(&names, 40, &mut lenses);
+                assert!(scene.stood(40, &names, &mut lenses).is_some());
                 let (_, lens) = model.cameras().next().unwrap();
                 let pose = model.camera_poses(&scenes[1]).unwrap()[0];
                 assert_eq!(lenses, Lenses::from([(1, (lens, pose))]), "{}", task.name);
@@ -437,7 +443,8 @@ mod tests {
                     plane: Plane::Colour,
                 };
                 assert!(scene.picture("endoscope", colour, 0).unwrap().is_none());
-                assert!(scene.stood(0).is_none() && scene.cameras().is_empty());
+                let stood = scene.stood(0, &[], &mut Lenses::new());
+                assert!(stood.is_none() && scene.cameras().is_empty());
             }
         }
     }

@@ -521,13 +521,12 @@ impl Recomputed {
     fn state(&self, record: &TickRecord) -> State {
         let tick = record.now.tick();
         let mut lenses = self.images.lenses(record.now);
-        self.scene
-            .add_lenses(&self.facts.cameras, tick, &mut lenses);
+        let task = self.scene.stood(tick, &self.facts.cameras, &mut lenses);
         let bases = &self.facts.rcms_in_scene;
         let chunks = self.chunks.as_ref();
         let paths = chunks.map(|chunks| paths(chunks, record.now, bases, &lenses));
         let sample = self.tap.sample(record);
-        let state = State::new(&sample, &self.facts, 0.0, self.scene.stood(tick));
+        let state = State::new(&sample, &self.facts, 0.0, task);
         let buses = self.buses.before(tick);
         let buses = buses.and_then(|message| BusesRecord::read(message.as_bytes()));
         let state = state.on_buses(buses.unwrap_or_default().buses);

@@ -2,6 +2,7 @@
 
 use hal::{ARM_NAMES, ArmCommand, ArmState, TimeNs};
 use serde::Serialize;
+use trocar_control::motion::AXES;
 use trocar_control::{GateDecision, QpOutcome};
 use trocar_log::{ArmRecord, BusRecord, CriterionRecord, TaskRecord};
 
@@ -9,9 +10,6 @@ use super::facts::Facts;
 use super::path::Path;
 use super::tap::{Buckets, Changed, Counts, Refused, Sample, seconds};
 use crate::session::teleop::TeleopStatus;
-
-/// Axes of an arm: joints and jaw.
-const AXES: usize = 7;
 
 /// The newest tick.
 #[derive(Clone, Debug, Serialize)]

@@ -96,7 +96,8 @@ fn refused(option: &str, path: &Path, reason: &str) -> SessionError {
 }
 
 /// One name for one file, whether it is there or not.
-pub(super) fn identity(path: &Path) -> PathBuf {
+#[must_use]
+pub fn identity(path: &Path) -> PathBuf {
     if let Ok(whole) = path.canonicalize() {
         return whole;
     }

@@ -64,9 +64,7 @@ fn check_once<T: PartialEq>(
 pub(crate) fn import_log(args: &ImportLogArgs) -> Done {
     let logs = args.logs.iter().map(|log| ("LOG", Some(log.as_path())));
     let others: Vec<_> = logs.chain([("--out", Some(args.out.as_path()))]).collect();
-    // A file that can't be found is named where it is read.
-    let found = |log: &PathBuf| log.canonicalize().unwrap_or_else(|_| log.clone());
-    let files: Vec<PathBuf> = args.logs.iter().map(found).collect();
+    let files: Vec<PathBuf> = args.logs.iter().map(|log| outputs::identity(log)).collect();
     check_once("LOG", &files, |log| log.display().to_string())?;
     check_once("--cameras", &args.cameras, String::clone)?;
     outputs::check(&[("--json", args.json.as_deref())], &others)?;

@@ -11,9 +11,10 @@ use std::sync::Arc;
 
 use axum::body::Bytes;
 use hal::count::count_u32;
-use hal::{ARMS_MAX, ArmState, JOINT_COUNT, JointVector, Mesh, Pose, TimeNs};
+use hal::{ARMS_MAX, JOINT_COUNT, JointVector, Mesh, Pose, TimeNs};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use trocar_control::config::ArmConfig;
+use trocar_control::motion::AXES;
 use trocar_tasks::SimulationError;
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::{SceneSnapshot, THINGS_MAX};
@@ -42,15 +43,6 @@ pub(super) fn file(
     }
     safety::draw(&mut writer, arms);
     Ok(writer.finish().into())
-}
-
-/// Joints of an arm, and its jaw.
-pub(super) const AXES: usize = JOINT_COUNT + 1;
-
-/// Joints and jaw of an arm in `state`, rad (insertion m).
-pub(super) fn axes(state: &ArmState) -> [f64; AXES] {
-    let joint = |axis: usize| state.position.get(axis).copied();
-    std::array::from_fn(|axis| joint(axis).unwrap_or(state.jaw_position))
 }
 
 /// The scene with arms alone: of each where its remote centre is in the scene, and its joints with the jaw, rad (insertion m).
