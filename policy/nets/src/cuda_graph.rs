@@ -6,6 +6,8 @@
 mod aside;
 mod functions;
 mod graph;
+#[cfg(test)]
+mod mock;
 
 use tch::{Device, TchError, Tensor};
 
@@ -136,12 +138,12 @@ impl CapturedGraph {
     /// from the state of the generator.
     ///
     /// # Errors
-    /// The network library's, if shapes do not fit.
+    /// The network library's: shapes do not fit, or the device fails.
     pub fn replay(&mut self, inputs: &[Tensor]) -> Result<Tensor, TchError> {
         for (own, input) in self.inputs.iter_mut().zip(inputs) {
             own.f_copy_(input)?;
         }
-        self.graph.replay_drawing();
+        self.graph.replay_drawing()?;
         self.answer.f_detach_copy()
     }
 

@@ -1,24 +1,12 @@
 //! A stream that can be captured.
 
-#![expect(
-    unsafe_code,
-    reason = "streams are had from libtorch's functions for C"
-)]
-
-use std::ffi::c_int;
-use std::ptr;
-
 use tch::TchError;
 
-use super::functions::{Functions, Stream, checked, one_at_a_time};
-
-/// `cudaStreamCaptureStatusActive`.
-const CAPTURING: c_int = 1;
+use super::functions::{Stream, is_current, one_at_a_time, synchronise};
 
 /// A stream of libtorch's pool as this thread's current one, until it is dropped: the default stream can't be captured.
 #[derive(Debug)]
 pub(super) struct SideStream {
-    pub(super) functions: Functions,
     pub(super) device: i32,
     before: Stream,
     stream: Stream,
@@ -27,48 +15,30 @@ pub(super) struct SideStream {
 impl SideStream {
     /// None if the libraries here have no CUDA, or `device` is not the thread's current one.
     pub(super) fn of(device: i32) -> Result<Option<Self>, TchError> {
-        let found = Functions::found().filter(|found| found.is_current(device));
-        found
-            .map(|functions| Self::new(functions, device))
-            .transpose()
-    }
-
-    fn new(functions: Functions, device: i32) -> Result<Self, TchError> {
-        let before = functions.stream(device)?;
-        let mut stream = ptr::null_mut();
-        // SAFETY: it writes to a variable of ours.
-        let code = unsafe { (functions.stream_from_pool)(false, device, &raw mut stream) };
-        checked("a stream of libtorch's pool", code)?;
+        if !is_current(device) {
+            return Ok(None);
+        }
+        let before = Stream::current(device)?;
+        let stream = Stream::of_pool(device)?;
         {
             let _alone = one_at_a_time();
-            functions.synchronise()?;
+            synchronise()?;
         }
-        // SAFETY: the stream is libtorch's own, of this device.
-        let code = unsafe { (functions.set_stream)(stream, device) };
-        checked("a stream of its own", code)?;
-        Ok(Self {
-            functions,
+        stream.set_current(device)?;
+        Ok(Some(Self {
             device,
             before,
             stream,
-        })
+        }))
     }
 
     pub(super) fn is_capturing(&self) -> bool {
-        let mut status = 0;
-        // SAFETY: the stream lives as long as the process; the status is a variable of ours.
-        let code = unsafe { (self.functions.status)(self.stream, &raw mut status) };
-        code == 0 && status == CAPTURING
+        self.stream.is_capturing()
     }
 
-    /// Abandons a capture that failed, and its error, which the next call of libtorch would take for its own.
+    /// Abandons a capture that failed.
     pub(super) fn abandon(&self) {
-        let mut nothing = ptr::null_mut();
-        // SAFETY: the stream lives as long as the process; the graph is a variable of ours. What it answers is of no use: the
-        // capture is lost anyway.
-        let _code = unsafe { (self.functions.abandon)(self.stream, &raw mut nothing) };
-        // SAFETY: it takes nothing.
-        let _forgotten = unsafe { (self.functions.last_error)() };
+        self.stream.abandon();
     }
 }
 
@@ -77,9 +47,9 @@ impl Drop for SideStream {
         // Streams do not wait for each other; if the device fails there is nothing to wait for.
         {
             let _alone = one_at_a_time();
-            let _done = self.functions.synchronise();
+            let _done = synchronise();
         }
-        // SAFETY: the stream that was current before. It fails only if there is no such device.
-        let _code = unsafe { (self.functions.set_stream)(self.before, self.device) };
+        // It fails only if there is no such device.
+        let _set = self.before.set_current(self.device);
     }
 }

@@ -1,18 +1,67 @@
-//! What is needed of libtorch 2.11 and of the CUDA runtime, as it is found in the running process: the libtorch that a program
-//! was linked with need not have CUDA.
+//! What is needed of libtorch's CUDA graphs, which are C++: `shim.cpp` beside this, as functions that Rust may call as they are.
+//!
+//! Whether there is CUDA shows in the running process: the libtorch that a program was linked with need not have it. Without, each
+//! function says so.
 
 #![expect(
     unsafe_code,
     reason = "libtorch has graphs for C++ alone, and tch passes none of them on"
 )]
 
-use std::ffi::{CStr, c_int, c_void};
-use std::ptr;
-use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::ffi::{CStr, c_char, c_void};
+use std::ptr::{self, NonNull};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tch::{Device, TchError};
 
-pub(crate) type Stream = *mut c_void;
+/// A stream of libtorch's, which lives as long as the process. Null is the default one.
+#[repr(transparent)]
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stream(*mut c_void);
+
+/// An `at::cuda::CUDAGraph`, of which libtorch keeps the address. Unless it is [deleted](Self::delete) it stays for as long as the
+/// process.
+#[repr(transparent)]
+#[derive(Debug)]
+pub(super) struct Object(NonNull<c_void>);
+
+// SAFETY: a graph belongs to no thread; CUDA asks that one thread at a time uses it, and it is neither copied nor shared.
+unsafe impl Send for Object {}
+
+/// Null, or why it failed, which stays until this thread's next failure.
+#[repr(transparent)]
+struct Answer(*const c_char);
+
+// SAFETY: the types are those of `shim.cpp`, which catches exceptions and asks whether there is CUDA. Streams and objects come from
+// it alone.
+unsafe extern "C" {
+    safe fn trocar_allow_tf32_products();
+    safe fn trocar_cuda_device() -> i32;
+    safe fn trocar_cuda_sleep_while_waiting();
+    safe fn trocar_cuda_synchronise() -> Answer;
+    safe fn trocar_cuda_stream(device: i32, stream: &mut Stream) -> Answer;
+    safe fn trocar_cuda_stream_of_pool(device: i32, stream: &mut Stream) -> Answer;
+    safe fn trocar_cuda_set_stream(device: i32, stream: Stream) -> Answer;
+    safe fn trocar_cuda_is_capturing(stream: Stream) -> bool;
+    safe fn trocar_cuda_abandon(stream: Stream);
+    safe fn trocar_graph_new(object: &mut Option<Object>) -> Answer;
+    safe fn trocar_graph_begin(object: &mut Object) -> Answer;
+    safe fn trocar_graph_end(object: &mut Object) -> Answer;
+    safe fn trocar_graph_launch(object: &mut Object, device: i32) -> Answer;
+    safe fn trocar_graph_replay(object: &mut Object) -> Answer;
+    safe fn trocar_graph_delete(object: Object);
+}
+
+impl Answer {
+    fn checked(self) -> Result<(), TchError> {
+        if self.0.is_null() {
+            return Ok(());
+        }
+        // SAFETY: it is a C string of this thread's, where nothing has failed since.
+        let reason = unsafe { CStr::from_ptr(self.0) };
+        Err(TchError::Torch(reason.to_string_lossy().into_owned()))
+    }
+}
 
 /// libtorch keeps a list of all captures without a lock, and waiting for the whole device invalidates those in progress: graphs
 /// are captured and dropped one at a time.
@@ -21,163 +70,95 @@ pub(super) fn one_at_a_time() -> MutexGuard<'static, ()> {
     ONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The functions. `object` is memory of [`OBJECT_WORDS`](super::graph::OBJECT_WORDS).
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Functions {
-    /// `CUDAGraph::CUDAGraph(bool keep_graph)`.
-    pub(super) create: unsafe extern "C-unwind" fn(object: *mut u64, keep: bool),
-    /// `CUDAGraph::~CUDAGraph()`.
-    pub(super) destroy: unsafe extern "C-unwind" fn(object: *mut u64),
-    /// `capture_begin(MempoolId_t, cudaStreamCaptureMode)`; the id is a pair of numbers, and zeros allocate a pool of its own.
-    pub(super) begin:
-        unsafe extern "C-unwind" fn(object: *mut u64, pool: u64, of: u64, mode: c_int),
-    /// `capture_end()`, which also makes it ready to be launched.
-    pub(super) end: unsafe extern "C-unwind" fn(object: *mut u64),
-    /// `replay()`: has the generator of random numbers draw on from its seed, and launches.
-    pub(super) replay: unsafe extern "C-unwind" fn(object: *mut u64),
-    /// `raw_cuda_graph_exec()`.
-    pub(super) executable: unsafe extern "C-unwind" fn(object: *mut u64) -> *mut c_void,
-    /// `aoti_torch_get_current_cuda_stream(int32_t device, void** stream)`.
-    pub(super) current_stream: unsafe extern "C" fn(device: i32, stream: *mut Stream) -> i32,
-    /// `torch_get_cuda_stream_from_pool(bool high_priority, int32_t device, void** stream)`.
-    pub(super) stream_from_pool:
-        unsafe extern "C" fn(high: bool, device: i32, stream: *mut Stream) -> i32,
-    /// `torch_set_current_cuda_stream(void* stream, int32_t device)`.
-    pub(super) set_stream: unsafe extern "C" fn(stream: Stream, device: i32) -> i32,
-    /// `cudaGetDevice(int*)`.
-    pub(super) device: unsafe extern "C" fn(device: *mut c_int) -> c_int,
-    /// `cudaGetLastError()`, which also forgets it.
-    pub(super) last_error: unsafe extern "C" fn() -> c_int,
-    /// `cudaDeviceSynchronize()`.
-    pub(super) synchronize: unsafe extern "C" fn() -> c_int,
-    /// `cudaStreamIsCapturing(cudaStream_t, cudaStreamCaptureStatus*)`.
-    pub(super) status: unsafe extern "C" fn(stream: Stream, status: *mut c_int) -> c_int,
-    /// `cudaStreamEndCapture(cudaStream_t, cudaGraph_t*)`.
-    pub(super) abandon: unsafe extern "C" fn(stream: Stream, graph: *mut *mut c_void) -> c_int,
-    /// `cudaGraphLaunch(cudaGraphExec_t, cudaStream_t)`.
-    pub(super) launch: unsafe extern "C" fn(executable: *mut c_void, stream: Stream) -> c_int,
-}
-
-/// The function called `name`.
-///
-/// # Safety
-/// `F` must be the type of a pointer to that function.
-unsafe fn function<F: Copy>(name: &CStr) -> Option<F> {
-    const { assert!(size_of::<F>() == size_of::<*mut c_void>()) };
-    // SAFETY: the name is a C string.
-    let found = unsafe { libc::dlsym(libc::RTLD_DEFAULT, name.as_ptr()) };
-    if found.is_null() {
-        return None;
-    }
-    // SAFETY: both are pointers of one size, and the caller vouches for the type.
-    Some(unsafe { std::mem::transmute_copy(&found) })
-}
-
-/// The thread's current stream on `device`.
-pub(crate) fn stream_of(device: Device) -> Result<Stream, TchError> {
-    let missing = || TchError::Torch("the libraries here have no CUDA".to_owned());
-    let Device::Cuda(device) = device else {
-        return Err(missing());
-    };
-    let device = i32::try_from(device).unwrap_or(i32::MAX);
-    Functions::found().ok_or_else(missing)?.stream(device)
-}
-
 /// Has threads that wait for a device sleep instead of asking it over and over, if there is CUDA here.
 pub fn sleep_while_waiting() {
-    /// `cudaDeviceScheduleBlockingSync`.
-    const SLEEPING: u32 = 4;
-    type SetFlags = unsafe extern "C" fn(flags: u32) -> c_int;
-    // SAFETY: this is the type in CUDA's header.
-    let Some(set_flags) = (unsafe { function::<SetFlags>(c"cudaSetDeviceFlags") }) else {
-        return;
-    };
-    // SAFETY: it takes a number. If it is refused, threads wait as they did.
-    let _code = unsafe { set_flags(SLEEPING) };
+    trocar_cuda_sleep_while_waiting();
 }
 
 /// Has matrix products of single precision on CUDA round their factors to TF32 (10 bits of mantissa; sums stay in single precision), as
 /// cuDNN's convolutions do unasked: for the whole process from now on, and nothing on the CPU.
 pub fn allow_tf32_products() {
-    type GlobalContext = unsafe extern "C-unwind" fn() -> *mut c_void;
-    type Allow = unsafe extern "C-unwind" fn(context: *mut c_void, allow: bool);
-    // SAFETY: `at::globalContext()` answers a reference, which is a pointer; `ATen/Context.h` of libtorch 2.11 has the type.
-    let context = unsafe { function::<GlobalContext>(c"_ZN2at13globalContextEv") };
-    // SAFETY: `at::Context::setAllowTF32CuBLAS(bool)`, of the same header; a method takes its object first.
-    let allow = unsafe { function::<Allow>(c"_ZN2at7Context18setAllowTF32CuBLASEb") };
-    let (Some(context), Some(allow)) = (context, allow) else {
-        return;
-    };
-    // SAFETY: it takes nothing, and what it answers lives as long as the process.
-    let context = unsafe { context() };
-    // SAFETY: the object is libtorch's own.
-    unsafe { allow(context, true) };
+    trocar_allow_tf32_products();
 }
 
-impl Functions {
-    /// None where the libraries have no CUDA, or not all of it.
-    #[expect(
-        clippy::multiple_unsafe_ops_per_block,
-        reason = "the same for each, for the same reason"
-    )]
-    pub(super) fn found() -> Option<Self> {
-        static FOUND: OnceLock<Option<Functions>> = OnceLock::new();
-        *FOUND.get_or_init(|| {
-            // SAFETY: names and types are those of the headers of libtorch 2.11 (`ATen/cuda/CUDAGraph.h`,
-            // `torch/csrc/stable/c/shim.h`, `torch/csrc/inductor/aoti_torch/c/shim.h`) and of CUDA 12 and 13. Methods take
-            // their object first, and a pair of two words in two registers, on x86-64 and on 64-bit Arm alike.
-            unsafe {
-                Some(Self {
-                    create: function(c"_ZN2at4cuda9CUDAGraphC1Eb")?,
-                    destroy: function(c"_ZN2at4cuda9CUDAGraphD1Ev")?,
-                    begin: function(
-                        c"_ZN2at4cuda9CUDAGraph13capture_beginESt4pairIyyE21cudaStreamCaptureMode",
-                    )?,
-                    end: function(c"_ZN2at4cuda9CUDAGraph11capture_endEv")?,
-                    replay: function(c"_ZN2at4cuda9CUDAGraph6replayEv")?,
-                    executable: function(c"_ZN2at4cuda9CUDAGraph19raw_cuda_graph_execEv")?,
-                    current_stream: function(c"aoti_torch_get_current_cuda_stream")?,
-                    stream_from_pool: function(c"torch_get_cuda_stream_from_pool")?,
-                    set_stream: function(c"torch_set_current_cuda_stream")?,
-                    device: function(c"cudaGetDevice")?,
-                    last_error: function(c"cudaGetLastError")?,
-                    synchronize: function(c"cudaDeviceSynchronize")?,
-                    status: function(c"cudaStreamIsCapturing")?,
-                    abandon: function(c"cudaStreamEndCapture")?,
-                    launch: function(c"cudaGraphLaunch")?,
-                })
-            }
-        })
-    }
+/// Whether `device` is this thread's current one, the only one that libtorch captures. None is without CUDA.
+pub(super) fn is_current(device: i32) -> bool {
+    trocar_cuda_device() == device
+}
 
-    /// Whether `device` is this thread's current one, the only one that libtorch records.
-    pub(super) fn is_current(self, device: i32) -> bool {
-        let mut current = -1;
-        // SAFETY: it writes to a variable of ours.
-        let code = unsafe { (self.device)(&raw mut current) };
-        code == 0 && current == device
-    }
+pub(super) fn synchronise() -> Result<(), TchError> {
+    trocar_cuda_synchronise().checked()
+}
 
-    /// The thread's current stream on `device`.
-    pub(super) fn stream(self, device: i32) -> Result<Stream, TchError> {
-        let mut stream = ptr::null_mut();
-        // SAFETY: it writes to a variable of ours.
-        let code = unsafe { (self.current_stream)(device, &raw mut stream) };
-        checked("the device's stream", code)?;
+/// The thread's current stream on `device`, as CUDA's functions take it.
+pub(crate) fn stream_of(device: Device) -> Result<*mut c_void, TchError> {
+    let Device::Cuda(device) = device else {
+        return Err(TchError::Torch(format!("{device:?} has no streams")));
+    };
+    let device = i32::try_from(device).unwrap_or(i32::MAX);
+    Ok(Stream::current(device)?.0)
+}
+
+impl Stream {
+    /// The thread's current one on `device`.
+    pub(super) fn current(device: i32) -> Result<Self, TchError> {
+        let mut stream = Self(ptr::null_mut());
+        trocar_cuda_stream(device, &mut stream).checked()?;
         Ok(stream)
     }
 
-    pub(super) fn synchronise(self) -> Result<(), TchError> {
-        // SAFETY: it takes nothing.
-        let code = unsafe { (self.synchronize)() };
-        checked("cudaDeviceSynchronize", code)
+    /// One of libtorch's pool.
+    pub(super) fn of_pool(device: i32) -> Result<Self, TchError> {
+        let mut stream = Self(ptr::null_mut());
+        trocar_cuda_stream_of_pool(device, &mut stream).checked()?;
+        Ok(stream)
+    }
+
+    /// Makes it the thread's current one on its `device`.
+    pub(super) fn set_current(self, device: i32) -> Result<(), TchError> {
+        trocar_cuda_set_stream(device, self).checked()
+    }
+
+    pub(super) fn is_capturing(self) -> bool {
+        trocar_cuda_is_capturing(self)
+    }
+
+    /// Abandons a capture that failed, and its error, which the next call of libtorch would take for its own.
+    pub(super) fn abandon(self) {
+        trocar_cuda_abandon(self);
     }
 }
 
-pub(super) fn checked(what: &str, code: c_int) -> Result<(), TchError> {
-    if code == 0 {
-        Ok(())
-    } else {
-        Err(TchError::Torch(format!("{what} failed with code {code}")))
+impl Object {
+    pub(super) fn new() -> Result<Self, TchError> {
+        let mut object = None;
+        trocar_graph_new(&mut object).checked()?;
+        object.ok_or_else(|| TchError::Torch("libtorch made no graph".to_owned()))
+    }
+
+    /// From here on the thread's current stream, which must not be the default one, is captured. What other threads do meanwhile does
+    /// not enter the capture.
+    pub(super) fn begin(&mut self) -> Result<(), TchError> {
+        trocar_graph_begin(self).checked()
+    }
+
+    /// Ends the capture, and makes it ready to be launched.
+    pub(super) fn end(&mut self) -> Result<(), TchError> {
+        trocar_graph_end(self).checked()
+    }
+
+    /// Launches it on the thread's current stream of `device`.
+    pub(super) fn launch(&mut self, device: i32) -> Result<(), TchError> {
+        trocar_graph_launch(self, device).checked()
+    }
+
+    /// The same, and the generator of random numbers draws on from its seed.
+    pub(super) fn replay(&mut self) -> Result<(), TchError> {
+        trocar_graph_replay(self).checked()
+    }
+
+    /// Its capture has ended, or never began: otherwise libtorch would end a capture that there is not.
+    pub(super) fn delete(self) {
+        trocar_graph_delete(self);
     }
 }

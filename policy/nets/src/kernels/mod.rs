@@ -10,7 +10,7 @@ mod library;
 #[cfg(test)]
 mod tests;
 
-use std::ffi::{c_int, c_uint, c_void};
+use std::ffi::{c_int, c_uint};
 
 use hal::count::count_u32;
 use tch::{Device, Kind, TchError, Tensor};
@@ -448,7 +448,7 @@ impl Kernels {
         mut arguments: [Argument; N],
     ) -> Result<(), TchError> {
         let blocks = blocks.map(|count| count_u32(length(count)));
-        let stream: *mut c_void = stream_of(self.device)?;
+        let stream = stream_of(self.device)?;
         const THREADS_OF_BLOCK: c_uint = count_u32(length(THREADS));
         // SAFETY: each caller gives its kernel the arguments of `backbone.cu`, of tensors whose sizes it has checked or made.
         unsafe {

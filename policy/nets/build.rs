@@ -1,0 +1,27 @@
+//! The folder of libtorch, as every package with a binary has it, and what reaches libtorch's CUDA graphs, which are C++.
+
+#[path = "../build.rs"]
+mod libtorch;
+
+use std::env;
+use std::path::PathBuf;
+
+fn main() {
+    libtorch::main();
+    let folder = "src/cuda_graph";
+    println!("cargo:rerun-if-changed={folder}/shim.cpp");
+    println!("cargo:rerun-if-changed={folder}/cuda");
+    println!("cargo:rerun-if-env-changed=LIBTORCH_INCLUDE");
+    // As torch-sys finds them.
+    let libtorch = env::var_os("LIBTORCH_INCLUDE").or_else(|| env::var_os("LIBTORCH"));
+    let headers = PathBuf::from(libtorch.unwrap_or_default()).join("include");
+    let mut build = cc::Build::new();
+    build.cpp(true).std("c++17").debug(false).warnings(true);
+    // Ours come first: with whichever toolkit is installed beside it, the program is the same.
+    build.include(format!("{folder}/cuda"));
+    // libtorch's headers have warnings, which are not ours to read.
+    build.flag("-isystem").flag(headers);
+    build
+        .file(format!("{folder}/shim.cpp"))
+        .compile("trocar_cuda_graph");
+}
