@@ -49,6 +49,7 @@ mod supervised;
 mod supervisor;
 mod threads;
 mod timing;
+mod wall_log;
 mod watch;
 
 use std::sync::Arc;
@@ -180,7 +181,12 @@ fn run_threads(
         Ok(control_thread.run(rig))
     };
     let simulate = || observers.run(plan, simulation_thread, (clock, first), side_log, &signals);
-    let ends = threads::run(remote, (&signals, listener.as_ref()), control, simulate);
+    let ends = threads::run(
+        remote,
+        (&signals, listener.as_ref(), clock),
+        control,
+        simulate,
+    );
     Ok((ends, log))
 }
 
