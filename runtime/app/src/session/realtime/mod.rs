@@ -28,6 +28,7 @@ mod cameras;
 mod cameras_child;
 mod cameras_process;
 mod channels;
+mod checkpoint_files;
 mod child;
 mod child_process;
 mod control_thread;
