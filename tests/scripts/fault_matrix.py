@@ -14,7 +14,8 @@ from pathlib import Path
 
 ROWS = """
 policy-killed policy-hangs policy-killed-last cameras-killed cameras-hang cameras-killed-last cameras-killed-log
-policy-leaves policy-elsewhere policy-another policy-other-arms policy-other-camera policy-malformed
+policy-leaves policy-elsewhere policy-another policy-other-arms policy-other-camera policy-malformed policy-version policy-changed
+world-another world-seed world-scene cameras-scene cameras-scene-later
 chunks-nan chunks-old chunks-late stopped-20-ms stopped-400-ms overruns fault-cleared signal-TERM signal-INT disk-full disk-stands
 camera-freezes camera-repeats camera-grows camera-killed can-policy-killed can-camera-killed can-clock-jumps
 """.split()

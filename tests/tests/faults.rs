@@ -10,6 +10,8 @@
 
 #[path = "faults/cameras.rs"]
 mod cameras;
+#[path = "faults/configured.rs"]
+mod configured;
 #[path = "faults/held_up.rs"]
 mod held_up;
 #[path = "faults/matrix.rs"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ import pytest
 import trocar
 from conftest import short
 from gymnasium.utils.env_checker import check_env
+from trocar.policy import later
 
 PLAIN = ["--set", "scene.rendering.shading=plain"]
+STEP_NS = 40_000_000
 
 
 @pytest.fixture
@@ -167,6 +170,65 @@ def test_the_experts_targets_lift_the_needle_for_a_reward(
             break
     assert terminated and not truncated and info["success"] and info["reason"] == "success"
     assert rewards[-1] == 1.0 and not any(rewards[:-1])
+
+
+@pytest.mark.parametrize("fps", [10, 30, 50])
+def test_steps_may_have_another_length(make: Any, fps: int) -> None:
+    env, usual = make(step_ns=1_000_000_000 // fps), make()
+    assert (env.metadata["render_fps"], usual.metadata["render_fps"], trocar.TrocarEnv.metadata["render_fps"]) == (fps, 25, 25)
+    np.testing.assert_allclose(fps * env.action_space.high[:6], 25 * usual.action_space.high[:6], rtol=1e-6)
+    assert env.action_space.high[6] == usual.action_space.high[6]
+    tips, info = episode(env, 5)
+    again, info_again = episode(env, 5)
+    assert len(tips) == fps + 1 and info["seconds"] == pytest.approx(1.0, abs=0.05)
+    np.testing.assert_array_equal(tips, again)
+    assert info["command_hash"] == info_again["command_hash"]
+    check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("step_ns", [0, 999_999, 1_000_000_001])
+def test_a_step_of_no_possible_length_is_refused(step_ns: int, make: Any) -> None:
+    with pytest.raises(ValueError, match=f"step_ns = {step_ns}: allowed are 1000000 to 1000000000"):
+        make(step_ns=step_ns)
+
+
+class Plays:
+    """Answers with what lies at its own steps on a way through `targets`, which are `STEP_NS` apart."""
+
+    def __init__(self, targets: np.ndarray, step_ns: int) -> None:
+        self.targets, self.step_ns = targets, step_ns
+
+    def at(self, stamp_ns: int) -> np.ndarray:
+        rest = later(self.targets, min(stamp_ns, STEP_NS * (len(self.targets) - 2)), STEP_NS)
+        return rest[0]
+
+    def infer(self, observation: trocar.Observation) -> np.ndarray:
+        return np.array([self.at(observation.stamp_ns + row * self.step_ns) for row in range(40)])
+
+
+@pytest.mark.parametrize("fps", [10, 20, 30, 50])
+def test_a_policy_of_another_rate_does_the_same_in_both(
+    fps: int, make: Any, name: str, session: Callable[..., Any], tmp_path: Path
+) -> None:
+    """The expert's way at steps of another length lifts the needle in an environment of those steps, and served as that policy's chunks."""
+    log, step_ns = tmp_path / "expert.mcap", 1_000_000_000 // fps
+    expert = ["--policy", "expert", "--lockstep", "--seed", "7", "--log", str(log)]
+    assert session("run", "--task", "needle-lift", *expert, *PLAIN).end()[0] == 0
+    chunks = trocar.read_log(log, ["/policy/chunk"])["/policy/chunk"]["targets"]
+    policy = Plays(np.array([chunks.iloc[0][0], *(chunk[1] for chunk in chunks)]), step_ns)
+    env = make(control="absolute", seconds=12.0, step_ns=step_ns)
+    env.reset(seed=7)
+    ended, steps = False, 0
+    while not ended:
+        steps += 1
+        _, reward, terminated, truncated, info = env.step(policy.at(steps * step_ns))
+        ended = terminated or truncated
+    assert info["success"] and reward == 1.0 and steps == pytest.approx(fps * info["seconds"], abs=1)
+    running = session("eval", "--task", "needle-lift", "--policy", f"external:{name}", "--trials", "1", "--seed", "7", "--latency-ms", "0", "--json", "-")
+    assert trocar.serve(policy, name, query_every=5, step_ns=step_ns, sessions=1) == 1
+    _, out, err = running.end()
+    (trial,) = json.loads(out)["episodes"]
+    assert trial["success"], err
 
 
 def test_an_environment_tells_what_is_to_be_done(make: Any) -> None:

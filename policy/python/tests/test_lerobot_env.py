@@ -148,6 +148,17 @@ def test_lerobots_rollout_runs_an_episode(configured: Callable[..., EnvConfig], 
     assert torch.equal(again["observation"]["observation.tip_pose"], seen["observation.tip_pose"])
 
 
+@pytest.mark.parametrize("fps", [10, 30, 50])
+def test_an_environment_has_the_rate_of_the_policy(fps: int, configured: Callable[..., EnvConfig], made: Callable[..., dict[str, Any]]) -> None:
+    config = configured(fps=fps)
+    (env,) = made(config, n_envs=1).values()
+    assert env.unwrapped.metadata["render_fps"] == fps and env.call("_max_episode_steps") == (60 * fps,)
+    assert rolled_out(env, config, Rises(), seeds=[7])["done"].shape == (1, fps)
+    told, _ = make_env_pre_post_processors(config, None)
+    shown = told({"observation.state": torch.zeros(2, 7), "task": ["lift", "lift"]})
+    assert shown["observation.step_ns"].tolist() == [1_000_000_000 // fps] * 2
+
+
 def test_environments_run_in_processes_of_their_own(configured: Callable[..., EnvConfig], made: Callable[..., dict[str, Any]]) -> None:
     """LeRobot's default: forkserver processes, which import the plug-in's environments by themselves."""
     config = configured()
@@ -171,11 +182,12 @@ def test_several_tasks_are_environments_of_their_own(configured: Callable[..., E
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"fps": 15}, r"--env\.fps=15: allowed is 25"),
+        ({"fps": 0}, r"--env\.fps=0: allowed are 1 to 1000, whole steps a second"),
+        ({"fps": 1001}, r"--env\.fps=1001: allowed are 1 to 1000, whole steps a second"),
         ({"task": "needle-lift,needle-handover"}, "differ in their number of arms"),
         ({"task": "knot-tying"}, r"--env\.task=knot-tying: allowed are needle-lift"),
     ],
-    ids=["rate", "arms", "task"],
+    ids=["no steps", "too many steps", "arms", "task"],
 )
 def test_what_no_environment_has_is_refused(options: dict[str, Any], said: str, configured: Callable[..., EnvConfig]) -> None:
     with pytest.raises(ValueError, match=said):

@@ -183,23 +183,38 @@ def slow(tmp_path: Path) -> TrocarACTPolicy:
     return TrocarACTPolicy.from_pretrained(out, strict=True)
 
 
-def test_an_environment_gets_what_lies_at_its_steps(slow: TrocarACTPolicy) -> None:
-    """lerobot-eval asks for one action each 40 ms; a chunk of 15 steps a second is interpolated there."""
+@pytest.mark.parametrize(("fps", "queue"), [(None, 25), (25, 25), (15, 15), (50, 50), (10, 10)])
+def test_an_environment_gets_what_lies_at_its_steps(fps: int | None, queue: int, slow: TrocarACTPolicy) -> None:
+    """lerobot-eval asks for one action a step; a chunk of 15 steps a second is interpolated there, and asked for anew after a second."""
+    step_ns = STEP_NS if fps is None else 1_000_000_000 // fps
     generator = torch.Generator().manual_seed(3)
     drawn = {name: torch.randn(1, *feature.shape, generator=generator) for name, feature in slow.config.input_features.items()}
     tips = torch.randn(1, 2, 7, generator=generator)
     tips[..., 3:7] /= tips[..., 3:7].norm(dim=-1, keepdim=True)
-    batch = drawn | {"observation.tip_pose": tips.flatten(1)}
+    told = {} if fps is None else {"observation.step_ns": torch.tensor([step_ns])}
+    batch = drawn | told | {"observation.tip_pose": tips.flatten(1)}
     chunk = slow.predict_action_chunk(batch)[0].numpy().astype(np.float64).reshape(-1, 2, 8)
     assert len(chunk) == slow.config.chunk_size and slow.config.n_action_steps == 25
-    actions = [slow.select_action(batch)[0].numpy().reshape(2, 8) for _ in range(26)]
+    slow.reset()
+    actions = [slow.select_action(batch)[0].numpy().reshape(2, 8) for _ in range(queue + 1)]
     for arm in range(2):
         rows = chunk[:, arm]
         rows[:, 3:7] /= np.linalg.norm(rows[:, 3:7], axis=1, keepdims=True)
-        for step, action in enumerate(actions[:25]):
-            np.testing.assert_allclose(action[arm], later(rows, step * STEP_NS, STEP_15_NS)[0], atol=1e-5)
-    # Then it is asked anew.
-    np.testing.assert_array_equal(actions[25], actions[0])
+        for step, action in enumerate(actions[:queue]):
+            expected = later(rows, step * step_ns, STEP_15_NS)[0]
+            # LeRobot's rows are as the network has them; a quaternion has the length 1 only where it is interpolated.
+            action[arm, 3:7] /= np.linalg.norm(action[arm, 3:7])
+            np.testing.assert_allclose(action[arm], expected, atol=1e-5)
+    # Then it is asked anew, and answers the same.
+    again, first = actions[queue].copy(), actions[0]
+    again[:, 3:7] /= np.linalg.norm(again[:, 3:7], axis=1, keepdims=True)
+    np.testing.assert_allclose(again, first, atol=1e-6)
+
+
+def test_ensembled_chunks_want_an_environment_of_their_steps(slow: TrocarACTPolicy) -> None:
+    slow.config.temporal_ensemble_coeff = 0.01
+    with pytest.raises(ValueError, match="steps of 66666666 ns in an environment with steps of 40000000 ns"):
+        slow.select_action({})
 
 
 def test_resampled_chunks_end_with_their_last_row() -> None:

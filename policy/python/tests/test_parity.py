@@ -79,28 +79,31 @@ def test_a_served_policys_chunks_make_the_same_commands(
     assert len(repeats.chunks[0]) >= 3
 
 
-def test_an_environments_actions_are_chunks_without_delay(name: str, binary: str, session: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_an_environments_actions_are_chunks_without_delay(every: int, name: str, binary: str, session: Callable[..., Any]) -> None:
     """An action is one target, so an environment can't be given another policy's chunks; what it does is what a policy does that is asked
-    at each step, and whose chunk goes from where the arm is to that target and stays there."""
+    at each step, and whose chunk goes from where the arm is to that target and stays there. Steps of 80 and 200 ms are those of a policy of 12.5
+    and 5 steps a second that a session asks at every second and fifth of its own."""
+    step_ns = every * STEP_NS
     goals: dict[int, np.ndarray] = {}
     random = np.random.default_rng(3)
-    env = trocar.make("needle-lift", binary=binary, control="absolute", options=[*short(2.0), *PLAIN])
+    env = trocar.make("needle-lift", binary=binary, control="absolute", step_ns=step_ns, options=[*short(2.0), *PLAIN])
     observation, _ = env.reset(seed=7)
     ended, step = False, 0
     while not ended:
         goals[step] = np.append(observation["tip"][0], 0.4)
-        goals[step][:3] += random.uniform(-1e-3, 1e-3, 3)
+        goals[step][:3] += every * random.uniform(-1e-3, 1e-3, 3)
         observation, _, terminated, truncated, info = env.step(goals[step])
         ended, step = terminated or truncated, step + 1
     env.close()
 
     class Goes:
         def infer(self, observation: trocar.Observation) -> np.ndarray:
-            goal = goals[observation.step]
+            goal = goals[observation.stamp_ns // step_ns]
             return np.array([observation.arms[0].here, goal, goal])
 
     delay = ["--latency-ms", "0", "--seed", "7", "--json", "-"]
     served = session("run", "--task", "needle-lift", "--policy", f"external:{name}", "--lockstep", *delay, *short(2.0), *PLAIN)
-    assert trocar.serve(Goes(), name, sessions=1) == 1
+    assert trocar.serve(Goes(), name, query_every=every, step_ns=step_ns, sessions=1) == 1
     _, out, err = served.end()
     assert json.loads(out)["command_hash"] == info["command_hash"], err

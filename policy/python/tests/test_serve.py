@@ -426,6 +426,20 @@ def test_a_policy_for_something_else_is_refused(
     assert found == code and said in err
 
 
+@pytest.mark.parametrize(("task", "warned"), [("needle-lift", True), ("tissue-retraction", False)])
+def test_a_checkpoint_by_hand_says_what_task_it_was_trained_on(
+    task: str, warned: bool, name: str, session: Callable[..., Any]
+) -> None:
+    """Nothing refuses it: it may be meant. Who serves it is told."""
+    server = session("policy", "--policy", "tissue-retraction/act-small", "--name", name, "--sessions", "1")
+    asks = session(*evaluation(name, "--set", "scene.rendering.shading=plain", task=task, trials=1))
+    code, _, err = asks.end()
+    assert code == 0, err
+    said = server.end()[2]
+    assert f'task "{task}"' in said
+    assert ('; the network was trained on task "tissue-retraction"' in said) == warned, said
+
+
 def test_a_session_that_is_killed_is_noticed(name: str, session: Callable[..., Any]) -> None:
     running = session(*evaluation(name))
 

@@ -1,16 +1,18 @@
-//! A robot on CAN whose policy's process is killed and comes back, while the clock is set, and whose camera's process is killed.
+//! A robot on CAN whose policy's process is killed and comes back, whose camera's process is killed, and whose machine's clock is set.
 
 use std::env;
 use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use hal::{Intrinsics, Pose, TICK_NS};
+use hal::{Intrinsics, Pose, TICK_NS, TimeNs};
+use serde_json::Value;
 use tests::{repository, scratch};
 use trocar::rt::{MonotonicClock, Periodic, sleep_ns};
 use trocar_control::OperatorEvent;
-use trocar_log::RunLog;
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
+use trocar_log::{LoggedItem, RunLog, read_items};
 use trocar_topics::{CameraTopic, FrameHeader, TopicNode};
 
 use super::matrix::{Taken, row};
@@ -63,22 +65,88 @@ fn plays_a_camera() {
     }
 }
 
-/// Sets the clock of the kernel inside this one by so many seconds; another machine's is left alone.
-fn set_the_clock(by_s: i64) -> bool {
-    let inside = fs::read_to_string("/proc/cpuinfo")
-        .unwrap()
-        .contains("User Mode Linux");
-    if inside {
+/// Whether this is a kernel inside another, whose clock may be set. Another machine's is left alone.
+fn has_a_clock_of_its_own() -> bool {
+    let processors = fs::read_to_string("/proc/cpuinfo").unwrap();
+    processors.contains("User Mode Linux")
+}
+
+/// Sets the system's clock ahead by so many seconds, or back, if it may be set.
+fn set_the_clock(by_s: f64) {
+    if has_a_clock_of_its_own() {
         let date = format!("now {by_s:+} seconds");
         let set = Command::new("date").args(["--set", &date]).output();
         assert!(set.unwrap().status.success(), "{date}");
     }
-    inside
 }
 
-/// After the policy and after the camera it goes on; what the clock does, if it jumped, does nothing. Keeps the rows of all three, timed from
-/// the last chunk before.
-fn assert_goes_on_twice(log: &RunLog, clock_jumped: bool) {
+/// A robot on CAN under way, each of whose processes is one of the test's.
+struct Robot {
+    folder: PathBuf,
+    log: PathBuf,
+    camera: Process,
+    policy: Process,
+    drives: Process,
+    run: Process,
+}
+
+impl Robot {
+    /// Its arm moves, and its log has been written for a while.
+    fn moves(topics: &str) -> Self {
+        let folder = scratch(topics);
+        let play = |role: &str| Process::playing(&folder, role, topics);
+        let (camera, policy) = (
+            play("faults::plays_a_camera"),
+            play("faults::plays_a_policy"),
+        );
+        let mut drives = Process::start(&folder, "drives", &["drives", "--no-world"]);
+        drives.await_word("no world: psm1 is nodes 1 2 3 4 5 6 7");
+        let log = folder.join("run.mcap");
+        let safety = repository().join("config/tasks/needle-lift/safety.toml");
+        let policy_name = format!("external:{topics}");
+        let run = ["run", "--backend", "can", "--topics", topics];
+        let policy_of = ["--policy", &policy_name];
+        let safety = ["--safety", safety.to_str().unwrap()];
+        let kept = ["--log", log.to_str().unwrap()];
+        let rules = ["--set", "control.policy.restarts=1"];
+        let arguments = [&run[..], &policy_of, &safety, &kept, &rules].concat();
+        let mut run = Process::start(&folder, "run", &arguments);
+        run.until("the arm has been moving", || {
+            fs::metadata(&log).is_ok_and(|log| log.len() > 300_000)
+        });
+        Self {
+            folder,
+            log,
+            camera,
+            policy,
+            drives,
+            run,
+        }
+    }
+
+    /// Ends the run as a person does, at rest without a fault; what it and its drives say, and its log, which keeps all limits.
+    fn interrupted(self) -> (Value, Value, RunLog) {
+        self.run.signal("-INT");
+        let (code, run) = self.run.end();
+        assert_eq!(run["reason"], "interrupted", "{run}");
+        assert_eq!(code, Some(0), "{run}");
+        assert!(run["can"]["arms"][0]["fault"].is_null(), "{run}");
+        let log = RunLog::open(&self.log).unwrap();
+        let verified = verify(&log).unwrap();
+        assert!(verified.ok, "{:?}", verified.violations.first());
+        assert!(replay(&log).unwrap().identical);
+        let (last, _) = log.ticks().last().unwrap();
+        assert!(last.arms.first.command.velocity.amax() <= 0.0);
+        drop((self.policy, self.camera));
+        self.drives.signal("-INT");
+        let (code, drives) = self.drives.end();
+        assert_eq!(code, Some(0), "{drives}");
+        (run, drives, log)
+    }
+}
+
+/// After the policy and after the camera it goes on. Keeps the rows of both, timed from the last chunk before.
+fn assert_goes_on_twice(log: &RunLog) {
     let (mut newest, mut injected) = (0, Vec::new());
     for (tick, chunks) in log.ticks() {
         if chunks.first.is_some() {
@@ -107,11 +175,6 @@ fn assert_goes_on_twice(log: &RunLog, clock_jumped: bool) {
         );
         row(name, &fault, seen, &taken, &then);
     }
-    if clock_jumped {
-        let fault = "over CAN: the system's clock jumps a day ahead, then two back";
-        let taken = Taken::goes_on(log, None);
-        row("can-clock-jumps", fault, "by nothing", &taken, "-");
-    }
     let resumed = log
         .ticks()
         .enumerate()
@@ -125,66 +188,102 @@ fn assert_goes_on_twice(log: &RunLog, clock_jumped: bool) {
     }
 }
 
-/// The same of a robot on CAN as of simulated arms: its policy may die and come back, the clock may jump, and its camera may be gone for
-/// a while.
+/// The same of a robot on CAN as of simulated arms: its policy may die and come back, and its camera may be gone for a while. No time that is
+/// waited for is of the clock, which is a day ahead meanwhile, and then a day back.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
 fn killed_policy_and_killed_camera_come_back() {
     let _turn = alone();
-    let folder = scratch("can_faults");
     let topics = "can_faults";
-    let play = |role: &str| Process::playing(&folder, role, topics);
-    let (camera, policy) = (
-        play("faults::plays_a_camera"),
-        play("faults::plays_a_policy"),
-    );
-    let mut drives = Process::start(&folder, "drives", &["drives", "--no-world"]);
-    drives.await_word("no world: psm1 is nodes 1 2 3 4 5 6 7");
-    let log = folder.join("run.mcap");
-    let safety = repository().join("config/tasks/needle-lift/safety.toml");
-    let policy_name = format!("external:{topics}");
-    let run = ["run", "--backend", "can", "--topics", topics];
-    let policy_of = ["--policy", &policy_name];
-    let safety = ["--safety", safety.to_str().unwrap()];
-    let kept = ["--log", log.to_str().unwrap()];
-    let rules = ["--set", "control.policy.restarts=1"];
-    let mut run = Process::start(
-        &folder,
-        "run",
-        &[&run[..], &policy_of, &safety, &kept, &rules].concat(),
-    );
-    run.until("the arm has been moving", || {
-        fs::metadata(&log).is_ok_and(|log| log.len() > 300_000)
-    });
-    let mut clock_jumped = set_the_clock(86_400);
-    policy.signal("-KILL");
+    let mut robot = Robot::moves(topics);
+    set_the_clock(86_400.0);
+    robot.policy.signal("-KILL");
+    let run = &mut robot.run;
     run.await_word("it may come back within 30.0 s (1 of 1)");
-    drop(policy);
-    let policy = play("faults::plays_a_policy");
+    robot.policy = Process::playing(&robot.folder, "faults::plays_a_policy", topics);
     run.await_word(", is ready again");
-    clock_jumped &= set_the_clock(-2 * 86_400);
+    set_the_clock(-172_800.0);
     pass_ms(600);
-    camera.signal("-KILL");
+    robot.camera.signal("-KILL");
     run.await_word("camera scope has published no frame for 2 s; the arms stop and hold");
-    drop(camera);
-    let camera = play("faults::plays_a_camera");
+    robot.camera = Process::playing(&robot.folder, "faults::plays_a_camera", topics);
     run.await_word("the cameras show frames again");
     run.await_word("the policy answers again");
     pass_ms(600);
-    run.signal("-INT");
-    let (code, run) = run.end();
-    assert_eq!(run["reason"], "interrupted", "{run}");
-    assert_eq!(code, Some(0), "{run}");
+    let (run, _, log) = robot.interrupted();
     assert_eq!(run["policy"]["restarts"], 1, "{run}");
-    assert!(run["can"]["arms"][0]["fault"].is_null(), "{run}");
-    let log = RunLog::open(&log).unwrap();
-    let verified = verify(&log).unwrap();
-    assert!(verified.ok, "{:?}", verified.violations.first());
-    assert!(replay(&log).unwrap().identical);
-    assert_goes_on_twice(&log, clock_jumped);
-    let (last, _) = log.ticks().last().unwrap();
-    assert!(last.arms.first.command.velocity.amax() <= 0.0);
-    drop((policy, camera));
-    drives.signal("-INT");
-    assert_eq!(drives.end().0, Some(0));
+    assert_goes_on_twice(&log);
+}
+
+/// By how much the clock was set, s, as the log says, and when.
+fn settings(log: &Path) -> Vec<(TimeNs, f64)> {
+    let mut found = Vec::new();
+    read_items(log, |item| {
+        let LoggedItem::Event { at, text } = item else {
+            return;
+        };
+        let Some(how) = text.strip_prefix("the system's clock was set ") else {
+            return;
+        };
+        let (way, rest) = how.split_once(" by ").unwrap();
+        let by_s: f64 = rest.split_once(" s and says ").unwrap().0.parse().unwrap();
+        found.push((at, if way == "ahead" { by_s } else { -by_s }));
+    })
+    .unwrap();
+    found
+}
+
+/// The clock is set while the arm moves, by an hour and by 0.1 s, ahead and back. The loop, the ages of chunks and frames, watchdogs and the log's
+/// times go by another: nothing is refused, missed or held, and the log says when the clock was set.
+#[test]
+#[ignore = "needs a CAN bus: make test-can"]
+fn setting_the_clock_changes_nothing() {
+    let _turn = alone();
+    if !has_a_clock_of_its_own() {
+        return;
+    }
+    let robot = Robot::moves("can_clock");
+    let jumps_s = [3600.0, -7200.0, 3600.0, 0.1, -0.1];
+    for by_s in jumps_s {
+        set_the_clock(by_s);
+        pass_ms(500);
+    }
+    let path = robot.log.clone();
+    let (run, drives, log) = robot.interrupted();
+    assert_eq!(run["policy"]["refused"], 0, "{run}");
+    assert!(run["policy"].get("restarts").is_none(), "{run}");
+    for stop in drives["stops"].as_array().unwrap() {
+        assert_eq!(stop["cause"], "its master switched it off", "{drives}");
+    }
+    let asked = log.ticks().filter_map(|(tick, _)| tick.arms.first.operator);
+    let expected = [
+        OperatorEvent::Enable,
+        OperatorEvent::Pause,
+        OperatorEvent::Disable,
+    ];
+    assert_eq!(asked.collect::<Vec<_>>(), expected, "{:?}", log.events);
+    let ticks: Vec<(u64, TimeNs)> = log.ticks().map(|(it, _)| (it.tick, it.now)).collect();
+    for two in ticks.windows(2) {
+        let (passed_ns, ticks) = (two[1].1.since(two[0].1), two[1].0 - two[0].0);
+        assert!(passed_ns.abs_diff(ticks * TICK_NS) < TICK_NS, "{two:?}");
+    }
+    let found = settings(&path);
+    assert_eq!(found.len(), jumps_s.len(), "{found:?}");
+    for ((at, by_s), wanted_s) in found.into_iter().zip(jumps_s) {
+        // `date` takes its time, and both ways it is lost.
+        assert!((by_s - wanted_s).abs() < 0.09, "{by_s} s for {wanted_s} s");
+        let later = log.ticks().skip_while(|(tick, _)| tick.now < at).take(400);
+        let speed = later.map(|(tick, _)| tick.arms.first.command.velocity.amax());
+        assert!(speed.fold(0.0, f64::max) > 0.01, "it moves on after {at:?}");
+    }
+    let fault = "over CAN: the system's clock is set in mid-motion, ahead and back, by an hour and by 0.1 s";
+    let taken = Taken::goes_on(&log, None);
+    let then = "the log says when and by how much; its own times go on";
+    row(
+        "can-clock-jumps",
+        fault,
+        "`the system's clock was set ...`, by the log alone",
+        &taken,
+        then,
+    );
 }

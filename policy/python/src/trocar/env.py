@@ -1,4 +1,4 @@
-"""The tasks as Gymnasium environments: an episode in lockstep, a step of which is 40 ms."""
+"""The tasks as Gymnasium environments: an episode in lockstep, a step of which is 40 ms or another time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from .messages import JOINT_COUNT
 from .peer import Asked, Begins, Ended, Peer
-from .policy import Observation, targets_of
+from .policy import POLICY_STEP_NS, Observation, checked_step_ns, targets_of
 
 #: The built-in tasks and how many arms each has.
 TASKS: Mapping[str, int] = {
@@ -32,7 +32,8 @@ TASKS: Mapping[str, int] = {
     "block-transfer": 1,
 }
 
-#: A relative step of 40 ms: translation along each axis, m; rotation about each, rad. The range of the jaw, rad.
+#: A relative step of 40 ms: translation along each axis, m; rotation about each, rad; a step of another length has as much more or less.
+#: The range of the jaw, rad.
 STEP_M_MAX = 0.002
 STEP_RAD_MAX = 0.05
 JAW_RAD = (-0.35, 1.4)
@@ -57,10 +58,16 @@ def find_binary(binary: str | os.PathLike[str] | None = None) -> str:
     return os.fspath(found)
 
 
+def frames_a_second(step_ns: int) -> float:
+    """How many steps of `step_ns` there are a second, as an integer where that is what is meant: 30 of 33 333 333 ns."""
+    whole = round(1e9 / step_ns)
+    return whole if 1_000_000_000 // whole == step_ns else 1e9 / step_ns
+
+
 class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
     """A task in lockstep: the same seed and the same actions give the same episode, bit for bit.
 
-    An action is, for each arm one after another, where the tip is to be 40 ms later, and the jaw angle. ``control="relative"``: 7 numbers,
+    An action is, for each arm one after another, where the tip is to be a step of `step_ns` later (40 ms), and the jaw angle. ``control="relative"``: 7 numbers,
     translation from the tip as measured along the axes of the RCM frame (m), rotation vector in the tip's frame (rad), jaw (rad).
     ``control="absolute"``: 8 numbers, position (m) and quaternion x, y, z, w in the RCM frame, jaw (rad). What the tip does is what the
     controller lets through: gate, safety filter, smoother and guard are those of every run.
@@ -71,7 +78,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
     the task's time limit truncates it; ``info`` then has ``success``, ``reason``, ``seconds`` and ``command_hash``.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": frames_a_second(POLICY_STEP_NS)}
 
     def __init__(
         self,
@@ -87,12 +94,17 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         binary: str | os.PathLike[str] | None = None,
         options: Sequence[str] = (),
         instruction: str | None = None,
+        step_ns: int = POLICY_STEP_NS,
     ) -> None:
         """An environment of `task`, a built-in one or a folder (then with its number of `arms`).
 
         `image_size` is the height and the width of all images, 16 to 2048 pixels. `options` are further ones of ``trocar eval`` that choose
         a scene: ``--scene``, ``--needle``, ``--view``, ``--vary``, ``--config``, ``--set``. Images take less time if they are small, and with
-        ``--set scene.rendering.shading=plain``. `instruction` is what is to be done, in words; the task's name if not given.
+        ``--set scene.rendering.shading=plain``. `instruction` is what is to be done, in words; the task's name if not given. `step_ns` is how
+        long a step is, 1 ms to 1 s: ``1_000_000_000 // 30`` for a policy of 30 steps a second. The controller has ticks of 1 ms: each step begins
+        at the tick that is nearest to its time, so that steps of 33.3 ms last 33 or 34 ticks, and 30 of them a second.
+
+        Raises ValueError for what is not allowed.
         """
         if control not in ("relative", "absolute"):
             raise ValueError(f"control = {control!r}: allowed are 'relative' and 'absolute'")
@@ -104,6 +116,8 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         if count is None:
             raise ValueError(f"task {task}: how many arms it has must be said, with arms=1 or arms=2")
         self.render_mode = render_mode
+        self._step_ns = checked_step_ns(step_ns)
+        self.metadata = {**self.metadata, "render_fps": frames_a_second(step_ns)}
         self._task = task
         self._arms = count
         self._cameras = list(cameras)
@@ -115,7 +129,8 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         self._lerobot = layout == "lerobot"
         self._binary = find_binary(binary)
         height, width = image_size
-        self._options = ["--image-height", str(height), "--image-width", str(width), *options]
+        sized = ["--image-height", str(height), "--image-width", str(width)]
+        self._options = ["--step-ns", str(step_ns), *sized, *options]
         #: What is to be done, in words.
         self.instruction = instruction or task
         if instruction:
@@ -125,7 +140,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         self._observation: Observation | None = None
         self._pending = False
         self._picture: NDArray[np.uint8] | None = None
-        self.action_space = cast("spaces.Space[NDArray[Any]]", _action_space(count, self._relative))
+        self.action_space = cast("spaces.Space[NDArray[Any]]", _action_space(count, self._relative, step_ns))
         image = spaces.Box(0, 255, (height, width, 3), np.uint8)
         images: dict[str, spaces.Space[Any]] = {camera: image for camera in self._cameras}
         parts: dict[str, spaces.Space[Any]]
@@ -166,7 +181,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Goes on by 40 ms towards `action`."""
+        """Goes on by a step towards `action`."""
         if not self._pending or self._peer is None or self._child is None or self._observation is None:
             raise RuntimeError("the episode is over or has not begun: call reset first")
         before = self._observation
@@ -202,7 +217,7 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
     def _started(self) -> tuple[_Child, Peer]:
         if self._child is None or self._peer is None:
             name = f"gym-{os.getpid()}-{uuid.uuid4().hex[:8]}"
-            self._peer = Peer(name, cameras=self._seen, title="Gymnasium environment")
+            self._peer = Peer(name, cameras=self._seen, step_ns=self._step_ns, title="Gymnasium environment")
             self._child = _Child(self._binary, self._task, name, self._options)
         return self._child, self._peer
 
@@ -249,10 +264,12 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         }
 
 
-def _action_space(arms: int, relative: bool) -> spaces.Box[Any]:
+def _action_space(arms: int, relative: bool, step_ns: int) -> spaces.Box[Any]:
     if relative:
-        low = [-STEP_M_MAX] * 3 + [-STEP_RAD_MAX] * 3 + [JAW_RAD[0]]
-        high = [STEP_M_MAX] * 3 + [STEP_RAD_MAX] * 3 + [JAW_RAD[1]]
+        longer = step_ns / POLICY_STEP_NS
+        step = [longer * STEP_M_MAX] * 3 + [longer * STEP_RAD_MAX] * 3
+        low = [-most for most in step] + [JAW_RAD[0]]
+        high = step + [JAW_RAD[1]]
     else:
         low = [-REACH_M] * 3 + [-1.0] * 4 + [JAW_RAD[0]]
         high = [REACH_M] * 3 + [1.0] * 4 + [JAW_RAD[1]]

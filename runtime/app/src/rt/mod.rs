@@ -6,6 +6,7 @@ mod periodic;
 mod profile;
 mod sys;
 mod thread;
+mod wall;
 
 use hal::TimeNs;
 use trocar_topics::Events;
@@ -22,6 +23,7 @@ pub use thread::{
     Grant, RtOptions, RtRefused, RtReport, ThreadFaults, configure_thread, lock_memory,
     thread_faults,
 };
+pub use wall::{WallClock, wall_time};
 
 /// How many times slower than the system's the clocks of this process run; 1 unless `TROCAR_SLOW_MOTION` in its environment
 /// says otherwise, a whole number up to 100 ([`check_slow_motion`]).

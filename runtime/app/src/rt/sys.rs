@@ -10,6 +10,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 const NS_PER_S: u64 = 1_000_000_000;
 
+/// Longest look at two clocks that counts as one instant, ns.
+const LOOK_NS_MAX: u64 = 1_000_000;
+
 /// The variable of the environment that [`slow_motion`] reads.
 pub(super) const SLOW_MOTION: &str = "TROCAR_SLOW_MOTION";
 
@@ -60,24 +63,35 @@ pub(super) fn monotonic_ns() -> u64 {
 
 /// Time since 1970, s; for people and for files that other programs read.
 pub(super) fn unix_seconds() -> f64 {
-    let mut now = libc::timespec {
-        tv_sec: 0,
-        tv_nsec: 0,
-    };
-    // SAFETY: `now` is a live timespec. The call cannot fail for this clock on Linux.
-    unsafe { libc::clock_gettime(libc::CLOCK_REALTIME, &raw mut now) };
+    let now_ns = wall_ns();
     #[expect(clippy::cast_precision_loss, reason = "both stay far below 2^52")]
-    let (seconds, nanoseconds) = (now.tv_sec as f64, now.tv_nsec as f64);
+    let (seconds, nanoseconds) = ((now_ns / NS_PER_S) as f64, (now_ns % NS_PER_S) as f64);
     seconds + nanoseconds * 1e-9
 }
 
+/// Time since 1970, ns.
+pub(super) fn wall_ns() -> u64 {
+    clock_ns(libc::CLOCK_REALTIME)
+}
+
+/// How far that is ahead of the system's monotonic clock, ns; none if this thread was kept from its core between the looks at both.
+pub(super) fn wall_ahead_ns() -> Option<i64> {
+    let (before, wall, after) = (system_ns(), wall_ns(), system_ns());
+    let between = before.midpoint(after);
+    (after - before < LOOK_NS_MAX).then(|| wall.wrapping_sub(between).cast_signed())
+}
+
 fn system_ns() -> u64 {
+    clock_ns(libc::CLOCK_MONOTONIC)
+}
+
+fn clock_ns(clock: libc::clockid_t) -> u64 {
     let mut now = libc::timespec {
         tv_sec: 0,
         tv_nsec: 0,
     };
-    // SAFETY: `now` is a live timespec. The call cannot fail for this clock on Linux.
-    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
+    // SAFETY: `now` is a live timespec. The call cannot fail for the clocks of this module on Linux.
+    unsafe { libc::clock_gettime(clock, &raw mut now) };
     now.tv_sec.cast_unsigned() * NS_PER_S + now.tv_nsec.cast_unsigned()
 }
 

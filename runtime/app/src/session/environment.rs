@@ -13,6 +13,7 @@ use super::external::{ExternalChoice, ExternalPolicy};
 use super::latency::Latency;
 use super::run::next_simulation;
 use super::source::{ChunkSource, seen_arm};
+use super::steps::PolicySteps;
 use super::summary::TrialSummary;
 use super::{SessionError, Setup};
 
@@ -29,7 +30,7 @@ pub struct EpisodeSummary {
 /// Hears how an episode ended; none if it was abandoned.
 pub type OnEnd<'a> = &'a mut dyn FnMut(Option<&EpisodeSummary>);
 
-/// Runs the episodes of `seeds` in lockstep with the external policy of `choice`, whose chunks are there at once.
+/// Runs the episodes of `seeds` in lockstep, in `steps`, with the external policy of `choice`, whose chunks are there at once.
 ///
 /// After an episode's verdict `on_end` hears of it, and then the policy is shown where it has ended, one step after the last. An episode
 /// that the policy abandons is over.
@@ -39,14 +40,16 @@ pub type OnEnd<'a> = &'a mut dyn FnMut(Option<&EpisodeSummary>);
 pub fn run_environment(
     setup: &Setup,
     choice: &ExternalChoice,
+    steps: PolicySteps,
     seeds: &mut dyn Iterator<Item = Result<u64, SessionError>>,
     on_end: OnEnd<'_>,
 ) -> Result<(), SessionError> {
-    let policy = ExternalPolicy::connect(choice, setup)?;
+    let policy = ExternalPolicy::connect(choice, setup, steps)?;
     let names = policy.cameras();
     let every = policy.query_every_steps();
     let shared = Shared(Arc::new(Mutex::new(policy)));
-    let mut source = ChunkSource::policy(Box::new(shared.clone()), names.clone(), every);
+    let source = ChunkSource::policy(Box::new(shared.clone()), names.clone(), every);
+    let mut source = source.in_steps(steps);
     let mut cameras: Option<SceneCameras> = None;
     for seed in seeds {
         let seed = seed?;

@@ -8,7 +8,7 @@ use trocar_tasks::task::Outcome;
 
 use super::SessionError;
 use super::latency::{Deliveries, Latency};
-use super::source::{ChunkSource, Query, STEP_TICKS, precedes_query, seen_arm};
+use super::source::{ChunkSource, Query, precedes_query, seen_arm};
 use super::summary::TissueSummary;
 use super::tally::Tally;
 use super::world_report::TaskState;
@@ -148,20 +148,20 @@ impl Episode<'_> {
             source: self.source,
         };
         let mut period = running.rig.exchange(None);
+        let steps = running.source.steps();
         for tick in 0..timing.tick_limit {
             let measured = period.measured.ok_or_else(|| running.other_arms())?;
-            if tick % STEP_TICKS == 0 && watcher.wants_stop() {
+            let step = steps.beginning_at(tick);
+            if step.is_some() && watcher.wants_stop() {
                 return Err(SessionError::Interrupted);
             }
-            if tick % STEP_TICKS == 0 && tick > 0 && watcher.wants_end() {
+            if step.is_some() && tick > 0 && watcher.wants_end() {
                 break;
             }
             if let Some(arms) = seen(&measured) {
-                let answer = if tick % STEP_TICKS == 0 {
-                    let step = tick / STEP_TICKS;
-                    running.policy_step(step, &arms, &mut cameras, watcher, clock)?
-                } else {
-                    running.between(tick, &arms, clock)?
+                let answer = match step {
+                    Some(step) => running.policy_step(step, &arms, &mut cameras, watcher, clock)?,
+                    None => running.between(tick, &arms, clock)?,
                 };
                 if let Some((chunks, inference_ns)) = answer {
                     let executed = match &mut disturber {

@@ -18,7 +18,7 @@ use trocar_topics::{
     PolicyStage, Publisher, Reply, RunCommand, RunControl, Subscriber, TopicError,
 };
 
-use super::source::STEP_NS;
+use super::steps::PolicySteps;
 use super::{SessionError, Setup};
 use crate::rt::MonotonicClock;
 
@@ -39,6 +39,7 @@ pub struct ExternalPolicy {
     /// One a camera, once its size is known.
     frames: Vec<FramePublisher>,
     episode: u64,
+    steps: PolicySteps,
     /// The step that it was shown last.
     step: u64,
     /// The seed of an episode of which the policy does not know yet.
@@ -46,18 +47,23 @@ pub struct ExternalPolicy {
 }
 
 impl ExternalPolicy {
-    /// Waits for the policy of `choice`, which commands the arms of the task of `setup` and looks through its cameras.
+    /// Waits for the policy of `choice`, which commands the arms of the task of `setup`, looks through its cameras and is shown them in `steps`.
     ///
     /// # Errors
     /// [`SessionError::Topic`]; [`SessionError::Policy`] if it does not appear in time; [`SessionError::BadArgument`] and
     /// [`SessionError::UnknownCamera`] if it is for something else.
-    pub fn connect(choice: &ExternalChoice, setup: &Setup) -> Result<Self, SessionError> {
+    pub fn connect(
+        choice: &ExternalChoice,
+        setup: &Setup,
+        steps: PolicySteps,
+    ) -> Result<Self, SessionError> {
         let arms = setup.task.arms.len();
         let about = About {
             task: &setup.task_name,
             instruction: choice.instruction_or(&setup.task_name),
             arms,
             lockstep: true,
+            step_ns: steps.step_ns(),
             frames_within_ms: 0,
         };
         let link = ExternalLink::open(choice.topics(), choice.within_s, &about)?;
@@ -70,6 +76,7 @@ impl ExternalPolicy {
             chunks: chunks.collect::<Result<_, _>>()?,
             frames: Vec::new(),
             episode: link.session,
+            steps,
             step: 0,
             begins: Some(0),
             link,
@@ -127,7 +134,7 @@ impl ExternalPolicy {
     fn show(&mut self, observation: &Observation<'_>) -> Result<PolicyReply, PolicyError> {
         self.begin()?;
         let stamp = stamp(observation);
-        let step = stamp.0 / STEP_NS;
+        let step = self.steps.nearest(stamp);
         self.step = step;
         self.publish(observation, step)
             .map_err(|error| self.link.topic(&error))?;

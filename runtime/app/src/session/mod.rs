@@ -45,6 +45,7 @@ pub mod sheet;
 pub mod simulator;
 mod snapshot_report;
 pub mod source;
+pub mod steps;
 pub mod summary;
 pub mod tally;
 pub mod tasks;

@@ -14,6 +14,7 @@ use super::plan::Arms;
 use super::policy_choice::PolicyChoice;
 use super::scene_options::SceneOptions;
 use super::source::ChunkSource;
+use super::steps::PolicySteps;
 use super::teleop::{SimulatedOperator, rcms_from_view};
 use super::{Robot, SessionError, tasks};
 use crate::study::address::hash_text;
@@ -192,7 +193,8 @@ impl Setup {
                 ChunkSource::network(self.robot.network(path, compute)?)
             }
             PolicyChoice::External(choice) => {
-                ChunkSource::external(ExternalPolicy::connect(choice, self)?)
+                let steps = PolicySteps::USUAL;
+                ChunkSource::external(ExternalPolicy::connect(choice, self, steps)?)
             }
             PolicyChoice::Own(name) => {
                 return Err(SessionError::BadArgument(format!(

@@ -13,6 +13,7 @@ use trocar_world::rng::Rng;
 
 use super::SessionError;
 use super::external::ExternalPolicy;
+use super::steps::PolicySteps;
 use super::teleop::{CHUNK_TICKS, SimulatedOperator, Teleop, TeleopSummary};
 use hal::PerArm;
 use trocar_control::kinematics;
@@ -85,6 +86,7 @@ pub struct Observer {
     policy: Box<dyn Policy + Send>,
     cameras: Vec<String>,
     query_every_steps: u64,
+    steps: PolicySteps,
 }
 
 impl ChunkSource {
@@ -100,7 +102,17 @@ impl ChunkSource {
             policy,
             cameras,
             query_every_steps: query_every_steps.max(1),
+            steps: PolicySteps::USUAL,
         })
+    }
+
+    /// The same source, in lockstep asked in other steps if it is a policy.
+    #[must_use]
+    pub fn in_steps(mut self, steps: PolicySteps) -> Self {
+        if let Self::Policy(observer) = &mut self {
+            observer.steps = steps;
+        }
+        self
     }
 
     /// A policy in another process.
@@ -164,6 +176,19 @@ impl ChunkSource {
             Self::Expert { .. } | Self::Noop { .. } | Self::Teleop(_) | Self::Operator(_) => 1,
             Self::Random { .. } => 5,
             Self::Policy(observer) => observer.query_every_steps,
+        }
+    }
+
+    /// The policy steps of an episode in lockstep.
+    #[must_use]
+    pub const fn steps(&self) -> PolicySteps {
+        match self {
+            Self::Expert { .. }
+            | Self::Noop { .. }
+            | Self::Random { .. }
+            | Self::Teleop(_)
+            | Self::Operator(_) => PolicySteps::USUAL,
+            Self::Policy(observer) => observer.steps,
         }
     }
 

@@ -17,6 +17,8 @@ Floats = NDArray[np.float32]
 STATE = "observation.state"
 TIP_POSE = "observation.tip_pose"
 IMAGES = "observation.images."
+#: How long a step of the environment is that shows it, ns: of LeRobot's programs, whose policies answer with an action a step.
+STEP_NS = "observation.step_ns"
 
 #: Takes a batch of one, (1, ...) or with a history (1, steps, ...), and the instruction; answers with (steps, numbers).
 Model = Callable[[Mapping[str, Floats], str], Floats]

@@ -8,20 +8,21 @@ from functools import partial
 from typing import Any
 
 import gymnasium as gym
+import torch
 from gymnasium.vector import AutoresetMode
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.utils import freeze_after_episode_end, parse_camera_names
+from lerobot.processor import ObservationProcessorStep, PolicyProcessorPipeline
 
 from ..env import TASKS, TrocarEnv
 from ..messages import JOINT_COUNT
 from ..policy import ABSOLUTE, POLICY_STEP_NS
+from .adapter import STATE, STEP_NS
+from .checkpoint import FPS_MAX
 
-#: Beyond every task's time limit, which ends an episode by itself: a minute.
-_EPISODE_STEPS_MAX = 1500
-
-#: Steps of an environment a second.
-_FPS = 1_000_000_000 // POLICY_STEP_NS
+#: Beyond every task's time limit, which ends an episode by itself, s.
+_EPISODE_S_MAX = 60
 
 
 @EnvConfig.register_subclass("trocar")
@@ -31,8 +32,8 @@ class TrocarEnvConfig(EnvConfig):
 
     #: One task, or several with commas between them.
     task: str | None = "needle-lift"
-    #: Steps a second, 25: an environment has no other.
-    fps: int = _FPS
+    #: Steps a second, 1 to 1000: those of the dataset that the policy was trained on.
+    fps: int = 1_000_000_000 // POLICY_STEP_NS
     #: Cameras that the policy sees, with commas between them.
     cameras: str = "endoscope"
     observation_height: int = 512
@@ -44,17 +45,15 @@ class TrocarEnvConfig(EnvConfig):
     #: What is to be done, in words, for policies that read it; the task's name if not given.
     instruction: str | None = None
     render_mode: str = "rgb_array"
-    episode_length: int = _EPISODE_STEPS_MAX
+    #: Steps after which an episode is left; those of a minute if not given.
+    episode_length: int | None = None
     features: dict[str, PolicyFeature] = field(default_factory=dict)
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """The features of the tasks, which must have the same number of arms."""
-        if self.fps != _FPS:
-            raise ValueError(
-                f"--env.fps={self.fps}: allowed is {_FPS}, the steps a second of every task; a policy of another rate plays at its own by "
-                "python -m trocar.lerobot serve"
-            )
+        if not 1 <= self.fps <= FPS_MAX:
+            raise ValueError(f"--env.fps={self.fps}: allowed are 1 to {FPS_MAX}, whole steps a second")
         counts = {TASKS[task] for task in self.tasks}
         if len(counts) != 1:
             raise ValueError(f"--env.task={self.task}: the tasks differ in their number of arms")
@@ -80,6 +79,11 @@ class TrocarEnvConfig(EnvConfig):
         return names
 
     @property
+    def step_ns(self) -> int:
+        """How long a step is, ns."""
+        return 1_000_000_000 // self.fps
+
+    @property
     def gym_kwargs(self) -> dict[str, Any]:
         """What an environment is made with."""
         cameras = parse_camera_names(self.cameras)
@@ -91,8 +95,13 @@ class TrocarEnvConfig(EnvConfig):
             "binary": self.binary,
             "options": shlex.split(self.options),
             "instruction": self.instruction,
-            "episode_length": self.episode_length,
+            "episode_length": _EPISODE_S_MAX * self.fps if self.episode_length is None else self.episode_length,
+            "step_ns": self.step_ns,
         }
+
+    def get_env_processors(self) -> tuple[Any, Any]:
+        """What is done to an observation and to an action: a policy is told how long a step is."""
+        return PolicyProcessorPipeline(steps=[StepLength(self.step_ns)]), PolicyProcessorPipeline(steps=[])
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, Any]]:
         """A vector of environments for each task; one that has ended waits for the others."""
@@ -108,10 +117,25 @@ class TrocarEnvConfig(EnvConfig):
         return made
 
 
+@dataclass
+class StepLength(ObservationProcessorStep):
+    """Adds to a batch of observations how long a step is, ns."""
+
+    step_ns: int
+
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The observation with the length of a step, of shape (batch,)."""
+        return observation | {STEP_NS: torch.full((len(observation[STATE]),), self.step_ns)}
+
+    def transform_features(self, features: Any) -> Any:
+        """The features as they are: it is no input of a network's."""
+        return features
+
+
 class LerobotEnv(TrocarEnv):
     """An environment with what LeRobot asks it for besides."""
 
-    def __init__(self, task: str, *, episode_length: int = _EPISODE_STEPS_MAX, **kwargs: Any) -> None:
+    def __init__(self, task: str, *, episode_length: int, **kwargs: Any) -> None:
         super().__init__(task, control="absolute", layout="lerobot", **kwargs)
         self.task = task
         self._max_episode_steps = episode_length

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +18,7 @@ from torch import Tensor, nn
 from torchvision.models._utils import IntermediateLayerGetter
 
 from ..policy import ABSOLUTE, POLICY_STEP_NS, RELATIVE
-from .adapter import TIP_POSE
+from .adapter import STEP_NS, TIP_POSE
 from .checkpoint import POLICY_TYPE
 
 #: Channels of a group, as policy/nets/src/act/resnet.rs has them.
@@ -37,15 +38,6 @@ class TrocarACTConfig(ACTConfig):
     relative: bool = True
     #: Time between two steps of a chunk, ns.
     step_ns: int = POLICY_STEP_NS
-
-    def __post_init__(self) -> None:
-        """LeRobot's own checks; its temporal ensembling mixes chunks whose steps are the environment's."""
-        super().__post_init__()
-        if self.temporal_ensemble_coeff is not None and self.step_ns != POLICY_STEP_NS:
-            raise ValueError(
-                f"temporal_ensemble_coeff = {self.temporal_ensemble_coeff} with step_ns = {self.step_ns}: allowed is null, or steps of "
-                f"{POLICY_STEP_NS}"
-            )
 
 
 class TrocarACTPolicy(ACTPolicy):
@@ -75,14 +67,36 @@ class TrocarACTPolicy(ACTPolicy):
         actions = super().predict_action_chunk(batch) * self.action_std + self.action_mean
         return absolute(actions, batch[TIP_POSE], self.arms) if self.config.relative else actions
 
+    def reset(self) -> None:
+        """An episode begins."""
+        super().reset()
+        # LeRobot's own has room for as many actions as there are policy steps from one query to the next.
+        self._action_queue: deque[Tensor] = deque()
+
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor]) -> Tensor:
-        """The next absolute action (batch, 8 an arm) of an environment, whose steps are of 40 ms whatever those of a chunk."""
-        if self.config.step_ns == POLICY_STEP_NS:
+        """The next absolute action (batch, 8 an arm) of an environment: what lies at its steps in the newest chunk, whatever the chunk's own.
+
+        The environment's steps are as long as `batch` says, 40 ms if it does not. Raises ValueError if they are others than the chunk's and
+        chunks are to be ensembled.
+        """
+        own_ns = self.config.step_ns
+        step_ns = int(batch[STEP_NS][0]) if STEP_NS in batch else POLICY_STEP_NS
+        if self.config.temporal_ensemble_coeff is not None:
+            # It mixes a row of each chunk a step.
+            if step_ns != own_ns:
+                raise ValueError(
+                    f"temporal_ensemble_coeff = {self.config.temporal_ensemble_coeff} with steps of {own_ns} ns in an environment with steps "
+                    f"of {step_ns} ns: allowed is null, or the same steps"
+                )
             return super().select_action(batch)
         if not self._action_queue:
-            actions = resampled(self.predict_action_chunk(batch), self.arms, self.config.step_ns, POLICY_STEP_NS)
-            self._action_queue.extend(actions[:, : self.config.n_action_steps].transpose(0, 1))
+            actions = self.predict_action_chunk(batch)
+            if step_ns != own_ns:
+                actions = resampled(actions, self.arms, own_ns, step_ns)
+            # As long as a session plays them before it asks anew.
+            count = max(self.config.n_action_steps * POLICY_STEP_NS // step_ns, 1)
+            self._action_queue.extend(actions[:, :count].transpose(0, 1))
         return self._action_queue.popleft()
 
 

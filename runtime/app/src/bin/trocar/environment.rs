@@ -6,6 +6,7 @@ use clap::Args;
 
 use trocar::session::environment::{EpisodeSummary, run_environment};
 use trocar::session::external::ExternalChoice;
+use trocar::session::steps::PolicySteps;
 use trocar::session::{PolicyChoice, SessionError};
 
 use crate::args::{TaskParser, pixels};
@@ -32,6 +33,9 @@ pub(crate) struct EnvironmentArgs {
     /// Width of all images, pixels.
     #[arg(long, value_name = "PIXELS", requires = "image_height", value_parser = pixels())]
     pub(crate) image_width: Option<u32>,
+    /// How long a step is, ns.
+    #[arg(long, value_name = "NS", default_value_t = PolicySteps::USUAL.step_ns())]
+    pub(crate) step_ns: u64,
     /// The scenes.
     #[command(flatten)]
     pub(crate) scenes: ScenesArgs,
@@ -58,12 +62,13 @@ pub(crate) fn environment(args: &EnvironmentArgs) -> Done {
             camera.resize(width, height);
         }
     }
+    let steps = PolicySteps::of_ns(args.step_ns)?;
     let mut seeds = std::io::stdin().lock().lines().map(|line| {
         let line = line.map_err(|error| refused(&error.to_string()))?;
         let seed = line.trim().parse();
         seed.map_err(|_| refused(&format!("{line:?} is no seed: allowed are 0 to 2^64 - 1")))
     });
-    run_environment(&setup, &choice, &mut seeds, &mut |end| match end {
+    run_environment(&setup, &choice, steps, &mut seeds, &mut |end| match end {
         Some(end) => console::text(&said(end)),
         None => console::text(ABANDONED),
     })?;

@@ -138,7 +138,12 @@ impl Server {
     fn look(&mut self, say: &mut dyn FnMut(&str)) -> Result<Option<&'static str>, SessionError> {
         if let Some(session) = self.sessions.newest()? {
             let (task, pid) = (session.task.text(), session.pid);
-            say(&format!("session of process {pid}, task {task:?}"));
+            let trained_on = &self.network.recipe().dataset.task;
+            let warning = match task.is_empty() || task == *trained_on {
+                true => String::new(),
+                false => format!("; the network was trained on task {trained_on:?}"),
+            };
+            say(&format!("session of process {pid}, task {task:?}{warning}"));
             self.session = Some(session);
         }
         if let Some(control) = self.control.newest()? {

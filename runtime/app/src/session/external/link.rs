@@ -10,7 +10,6 @@ use trocar_topics::{
 };
 
 use crate::rt::{self, MonotonicClock};
-use crate::session::source::STEP_NS;
 use crate::session::{SessionError, Setup};
 
 /// The arm that the topics of the whole policy are named after.
@@ -36,6 +35,8 @@ pub(in crate::session) struct About<'a> {
     pub(in crate::session) arms: usize,
     /// Whether time stands still until the policy has answered.
     pub(in crate::session) lockstep: bool,
+    /// How long a policy step is, ns.
+    pub(in crate::session) step_ns: u64,
     /// How far a frame of any camera but the first may be from the instant of an observation, ms.
     pub(in crate::session) frames_within_ms: u64,
 }
@@ -73,7 +74,7 @@ impl ExternalLink {
             pid: u64::from(process::id()),
             arm_count: about.arms as u64,
             lockstep: u64::from(about.lockstep),
-            step_ns: STEP_NS,
+            step_ns: about.step_ns,
             frames_within_ns: about.frames_within_ms * 1_000_000,
             task: Line::new(about.task),
             instruction: Line::new(about.instruction),

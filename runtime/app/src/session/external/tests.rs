@@ -14,6 +14,7 @@ use super::link::{FIRST_ARM, checked};
 use super::*;
 use crate::rt;
 use crate::session::PolicyChoice;
+use crate::session::source::STEP_NS;
 
 fn setup(task: &str) -> Setup {
     Setup::load(task, None, &PolicyChoice::Noop).unwrap()
@@ -81,7 +82,8 @@ fn asked(test: &str, reply: Reply, late_ns: u64) -> Result<Vec<Chunk>, PolicyErr
     let (choice, done) = (choice(test, 20), AtomicBool::new(false));
     thread::scope(|scope| {
         scope.spawn(|| serve(choice.topics(), &hello(), reply, late_ns, &done));
-        let mut policy = ExternalPolicy::connect(&choice, &setup("needle-lift")).unwrap();
+        let mut policy =
+            ExternalPolicy::connect(&choice, &setup("needle-lift"), PolicySteps::USUAL).unwrap();
         assert_eq!(policy.query_every_steps(), 5);
         policy.reset(7);
         let arms = [arm_at(40)];
@@ -138,7 +140,8 @@ fn an_external_policy_that_never_answers_is_given_up() {
                 rt::sleep_ns(LOOK_NS / 100);
             }
         });
-        let mut policy = ExternalPolicy::connect(&choice, &setup("needle-lift")).unwrap();
+        let mut policy =
+            ExternalPolicy::connect(&choice, &setup("needle-lift"), PolicySteps::USUAL).unwrap();
         let arms = [arm_at(0)];
         let said = policy.infer(&Observation {
             arms: &arms,
@@ -156,7 +159,7 @@ fn an_external_policy_that_never_answers_is_given_up() {
         within_s: 1,
         ..choice.clone()
     };
-    let error = ExternalPolicy::connect(&nobody, &setup("needle-lift"));
+    let error = ExternalPolicy::connect(&nobody, &setup("needle-lift"), PolicySteps::USUAL);
     let said = error.err().unwrap().to_string();
     assert!(said.ends_with("has not appeared for 1 s"), "{said}");
 }
@@ -175,6 +178,7 @@ fn an_external_policy_for_something_else_is_refused() {
         instruction: "lift the needle",
         arms: 1,
         lockstep: true,
+        step_ns: STEP_NS,
         frames_within_ms: 0,
     };
     let told = |change: fn(&mut PolicyHello)| {

@@ -14,6 +14,7 @@ use trocar_topics::{
 };
 
 use super::arm_chunks::ArmChunks;
+use super::checkpoint_files::CheckpointFiles;
 use super::child_process::{ChildProcess, Spawned};
 use super::policy_process::FIRST_ARM;
 use super::remote_arms::PrintLine;
@@ -61,9 +62,15 @@ impl Outside<'_> {
     }
 }
 
+/// A process of ours, with the checkpoint that it has loaded.
+struct OwnProcess {
+    process: ChildProcess<PolicyStatus>,
+    files: CheckpointFiles,
+}
+
 /// Whose process it is.
 enum Peer {
-    Own(Box<ChildProcess<PolicyStatus>>),
+    Own(Box<OwnProcess>),
     /// Somebody else's, which is told to stop and left to itself.
     External(Box<ExternalLink>),
 }
@@ -71,14 +78,14 @@ enum Peer {
 impl Peer {
     const fn node(&self) -> &TopicNode {
         match self {
-            Self::Own(own) => &own.node,
+            Self::Own(own) => &own.process.node,
             Self::External(link) => &link.node,
         }
     }
 
     const fn control(&self) -> &Publisher<RunControl> {
         match self {
-            Self::Own(own) => &own.control,
+            Self::Own(own) => &own.process.control,
             Self::External(link) => &link.control,
         }
     }
@@ -86,7 +93,7 @@ impl Peer {
     /// Hands what was said to a process that has come since: of an external policy, who the session is too.
     fn keep_alive(&self) -> Result<(), SessionError> {
         match self {
-            Self::Own(own) => own.control.keep_alive()?,
+            Self::Own(own) => own.process.control.keep_alive()?,
             Self::External(link) => link.keep_alive()?,
         }
         Ok(())
@@ -94,7 +101,7 @@ impl Peer {
 
     const fn status(&self) -> &Subscriber<PolicyStatus> {
         match self {
-            Self::Own(own) => &own.status,
+            Self::Own(own) => &own.process.status,
             Self::External(link) => &link.status,
         }
     }
@@ -126,7 +133,7 @@ impl Peer {
     /// What it is called where a run ends with it.
     fn who(&self) -> String {
         match self {
-            Self::Own(own) => own.who().to_owned(),
+            Self::Own(own) => own.process.who().to_owned(),
             Self::External(link) => format!("external policy {:?}, {},", link.name, link.who()),
         }
     }
@@ -134,7 +141,7 @@ impl Peer {
     /// Why it says no more in `episode`, if so.
     fn ended(&mut self, episode: u64) -> Result<Option<String>, SessionError> {
         match self {
-            Self::Own(own) => Ok(own.exit()),
+            Self::Own(own) => Ok(own.process.exit()),
             Self::External(link) => {
                 if let Some(reply) = link.replies.newest()?
                     && reply.episode == episode
@@ -195,7 +202,10 @@ impl PolicyChild {
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
         let chunks = ArmChunks::open(&node, outline.recipe.arms)?;
         let spawned = policy_verb(policy, compute, outside);
-        let own = ChildProcess::start(spawned, node, (control, status))?;
+        let own = OwnProcess {
+            files: CheckpointFiles::read(policy)?,
+            process: ChildProcess::start(spawned, node, (control, status))?,
+        };
         let shown = (query_every_steps, outline.history_steps);
         let peer = Peer::Own(Box::new(own));
         let mut child = Self::new(peer, chunks, shown, seed)?;
@@ -261,7 +271,7 @@ impl PolicyChild {
     /// Whether a process of ours has ended because its policy can't be loaded.
     fn has_refused(&mut self) -> bool {
         match &mut self.peer {
-            Peer::Own(own) => own.exit_code() == Some(BAD_INPUT),
+            Peer::Own(own) => own.process.exit_code() == Some(BAD_INPUT),
             Peer::External(_) => false,
         }
     }
@@ -281,9 +291,9 @@ impl PolicyChild {
     /// Tells a process of ours to go, without waiting for it; one that is still loading is ended later.
     pub(super) fn tell_to_go(&self) {
         if let Peer::Own(own) = &self.peer
-            && own.listens
+            && own.process.listens
         {
-            let _told = own.tell_to_go();
+            let _told = own.process.tell_to_go();
         }
     }
 
@@ -351,10 +361,11 @@ impl Remote for PolicyChild {
         matches!(self.peer, Peer::Own(_))
     }
 
-    /// Our own process is started again; an external one is told to begin again, and may be another process by then.
+    /// Our own process is started again, with the same checkpoint or not at all; an external one is told to begin again, and may be another process by then.
     fn call_again(&mut self) -> Result<(), SessionError> {
         if let Peer::Own(own) = &mut self.peer {
-            own.start_again()?;
+            own.files.check_unchanged()?;
+            own.process.start_again()?;
         }
         self.episode += 1;
         self.queries = 0;
@@ -373,7 +384,7 @@ impl Remote for PolicyChild {
             self.heard = self.clock.now();
             self.answered = None;
             if let Peer::Own(own) = &mut self.peer {
-                own.listens = true;
+                own.process.listens = true;
             }
         }
         Ok(ready)

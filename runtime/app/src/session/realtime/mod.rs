@@ -28,6 +28,7 @@ mod cameras;
 mod cameras_child;
 mod cameras_process;
 mod channels;
+mod checkpoint_files;
 mod child;
 mod child_process;
 mod control_thread;
@@ -49,6 +50,7 @@ mod supervised;
 mod supervisor;
 mod threads;
 mod timing;
+mod wall_log;
 mod watch;
 
 use std::sync::Arc;
@@ -180,7 +182,12 @@ fn run_threads(
         Ok(control_thread.run(rig))
     };
     let simulate = || observers.run(plan, simulation_thread, (clock, first), side_log, &signals);
-    let ends = threads::run(remote, (&signals, listener.as_ref()), control, simulate);
+    let ends = threads::run(
+        remote,
+        (&signals, listener.as_ref(), clock),
+        control,
+        simulate,
+    );
     Ok((ends, log))
 }
 

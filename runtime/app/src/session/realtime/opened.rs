@@ -8,7 +8,7 @@ use super::child::{Outside, PolicyChild, check_cameras};
 use super::remote_arms::PrintLine;
 use crate::session::external::{About, ExternalLink, check_wanted};
 use crate::session::plan::Arms;
-use crate::session::source::{ChunkSource, camera_names};
+use crate::session::source::{ChunkSource, STEP_NS, camera_names};
 use crate::session::teleop::Teleop;
 use crate::session::{Plan, PolicyChoice, SessionError};
 
@@ -46,6 +46,7 @@ impl<'a> Opened<'a> {
                     instruction: choice.instruction_or(task_name),
                     arms: robot.arms(),
                     lockstep: false,
+                    step_ns: STEP_NS,
                     frames_within_ms: outside.map_or(0, |outside| outside.frames_within_ms),
                 };
                 let link = ExternalLink::open(topics, choice.within_s, &about)?;

@@ -141,7 +141,10 @@ impl Supervisor {
             }
             ProcessState::Backoff(again_at) => {
                 if now >= again_at {
-                    remote.call_again()?;
+                    // What it is to be started with is gone or another; it would be again.
+                    if let Err(error) = remote.call_again() {
+                        return Ok(Some(error.to_string()));
+                    }
                     self.presence = ProcessState::Starting(now.plus_ns(self.rules.return_ns));
                 }
                 Ok(None)
@@ -237,6 +240,8 @@ mod tests {
     struct Fake {
         gone: bool,
         calls: u32,
+        /// Whether there is another in its place.
+        another: bool,
     }
 
     impl Remote for Fake {
@@ -250,7 +255,10 @@ mod tests {
 
         fn call_again(&mut self) -> Result<(), SessionError> {
             (self.gone, self.calls) = (false, self.calls + 1);
-            Ok(())
+            match self.another {
+                true => Err(SessionError::RealTime("it is another".to_owned())),
+                false => Ok(()),
+            }
         }
 
         fn is_ready(&mut self) -> Result<bool, SessionError> {
@@ -288,6 +296,7 @@ mod tests {
         let mut fake = Fake {
             gone: false,
             calls: 0,
+            another: false,
         };
         let mut look = |fake: &mut Fake| supervisor.look_after(fake, &signals).unwrap();
         assert_eq!(look(&mut fake), None);
@@ -303,6 +312,21 @@ mod tests {
         assert_eq!(look(&mut fake), Some("the process ended".to_owned()));
     }
 
+    /// One in whose place another would be started is lost for good, however many restarts are left.
+    #[test]
+    fn another_process_is_not_started_in_its_place() {
+        let (signals, mut supervisor) =
+            (Signals::default(), supervised(Some(HoldCause::Answers), 5));
+        let mut fake = Fake {
+            gone: true,
+            calls: 0,
+            another: true,
+        };
+        let mut look = || supervisor.look_after(&mut fake, &signals).unwrap();
+        assert_eq!(look(), None);
+        assert!(look().is_some_and(|reason| reason.contains("it is another")));
+    }
+
     /// What no arm needs holds none.
     #[test]
     fn arms_that_lack_nothing_go_on() {
@@ -310,6 +334,7 @@ mod tests {
         let mut fake = Fake {
             gone: true,
             calls: 0,
+            another: false,
         };
         for _ in 0..3 {
             assert_eq!(supervisor.look_after(&mut fake, &signals).unwrap(), None);

@@ -10,6 +10,7 @@ use super::child::PolicyChild;
 use super::control_thread::ControlEnd;
 use super::signals::Signals;
 use super::supervised::Supervised;
+use super::wall_log::WallLog;
 use super::watch::{Watched, watch};
 use crate::rt::MonotonicClock;
 use crate::session::operator::Listener;
@@ -44,10 +45,10 @@ pub(super) fn wired<'a, S: Arms>(
     }
 }
 
-/// Runs all threads until the one that controls has stopped.
+/// Runs all threads, by the run's `clock`, until the one that controls has stopped.
 pub(super) fn run<R: Send, T: Send>(
     remote: Option<Supervised<'_>>,
-    (signals, listener): (&Signals, Option<&Listener>),
+    (signals, listener, clock): (&Signals, Option<&Listener>, MonotonicClock),
     control: impl FnOnce() -> Result<ControlEnd<R>, SessionError> + Send,
     observe: impl FnOnce() -> Result<T, SessionError> + Send,
 ) -> Ends<R, T> {
@@ -57,7 +58,7 @@ pub(super) fn run<R: Send, T: Send>(
         }
         let control = scope.spawn(control);
         let seen = scope.spawn(observe);
-        let watched = watch(remote, signals);
+        let watched = watch(remote, signals, WallLog::new(clock));
         Ends {
             control: joined(control).and_then(|end| end),
             seen: joined(seen).and_then(|end| end),

@@ -2,6 +2,7 @@
 
 use super::signals::{EndRunOnDrop, Signals};
 use super::supervised::Supervised;
+use super::wall_log::WallLog;
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
@@ -27,6 +28,7 @@ pub(super) struct Watched {
 pub(super) fn watch(
     mut policy: Option<Supervised<'_>>,
     signals: &Signals,
+    mut wall: WallLog,
 ) -> Result<Watched, SessionError> {
     let _ends = EndRunOnDrop(signals);
     let mut watched = Watched {
@@ -35,6 +37,7 @@ pub(super) fn watch(
         restarts: 0,
     };
     while !signals.stopped() {
+        wall.look(signals);
         if let Some(policy) = &mut policy {
             policy.hand_on(signals, &mut watched.inference)?;
             watched.restarts = policy.restarts();

@@ -403,7 +403,7 @@ impl<L: ArmLink> Begun<'_, L> {
             clock,
         };
         let signals = Arc::clone(enabling.control.signals());
-        let served = (&*signals, channels.listener.as_ref());
+        let served = (&*signals, channels.listener.as_ref(), clock);
         let ends = threads::run(remote, served, || enabling.run(), observe);
         conclude(plan, ends, channels.log, link)
     }

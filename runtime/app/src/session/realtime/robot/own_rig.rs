@@ -74,7 +74,7 @@ pub(super) fn run_seeing<R: Rig + Send>(
         let _moving = Moving;
         Ok(control_thread.run(rig).with_rig(|rig| rig.arms))
     };
-    let served = (&*signals, channels.listener.as_ref());
+    let served = (&*signals, channels.listener.as_ref(), clock);
     let ends = threads::run(None, served, control, || robot_thread.run());
     let all = ends.control.and_then(|control| {
         let arms = control.rig;
