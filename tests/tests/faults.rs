@@ -12,6 +12,8 @@
 mod cameras;
 #[path = "faults/held_up.rs"]
 mod held_up;
+#[path = "faults/kept.rs"]
+mod kept;
 #[path = "faults/matrix.rs"]
 mod matrix;
 #[path = "faults/performer.rs"]

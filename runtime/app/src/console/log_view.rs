@@ -98,8 +98,7 @@ impl LogView {
                     recomputed.insert(Recomputed::new(header, seen)?)
                 }
             };
-            recomputed.step(step);
-            Ok(())
+            Ok(recomputed.step(step)?)
         })?;
         let recomputed = recomputed.ok_or(ReplayError::Empty)?;
         let view = recomputed.view(&header, &end, events);
@@ -469,11 +468,14 @@ impl Recomputed {
         })
     }
 
-    fn step(&mut self, step: &Step<'_>) {
+    fn step(&mut self, step: &Step<'_>) -> Result<(), ReplayError> {
         let (logged, inputs) = (step.tick, step.inputs());
         // A log may hold other arms than its configuration.
         if inputs.count() != self.controller.arm_count() {
-            return;
+            return Ok(());
+        }
+        if let Some(snapshot) = step.snapshot {
+            snapshot.restore(&mut self.controller)?;
         }
         let outputs = self.controller.tick(&inputs);
         let mut record = TickRecord::new(logged.tick, inputs, outputs, logged.timing);
@@ -499,6 +501,7 @@ impl Recomputed {
         }
         self.tap.tick(&record, &self.controller, self.skipped);
         self.keep(&record);
+        Ok(())
     }
 
     fn keep(&mut self, record: &TickRecord) {
