@@ -685,6 +685,28 @@ mod tests {
         assert_ne!(moved[0][encode::HEAD..], moved[1][encode::HEAD..]);
     }
 
+    /// A part that a bound kept shows the states that the run was in, not those of a controller that begins there.
+    #[test]
+    fn a_part_of_a_log_shows_the_states_of_its_run() {
+        let folder = Scratch::folder("log-view-part");
+        let plan = Plan {
+            seed: 7,
+            log: Some(folder.0.join("run.mcap")),
+            log_frames: false,
+            log_bytes_max: Some((4 << 20) + 200_000),
+            ..Plan::load("needle-lift", PolicyChoice::Expert).unwrap()
+        };
+        assert!(run_lockstep(&plan).unwrap().ok);
+        let path = plan.log.as_deref().unwrap();
+        assert!(RunLog::open(path).unwrap().header.left_out > 0);
+        let view = LogView::read(path, false).unwrap();
+        for at in [0.0, view.seconds()] {
+            let state = state(&view, at);
+            let arm = &state["arms"][0];
+            assert!(arm["state"] == "ENABLED" && arm["fault"].is_null(), "{arm}");
+        }
+    }
+
     /// Writes ticks and chunks, as a log of before there were scenes has them.
     struct Bare(Recorder);
 

@@ -145,7 +145,7 @@ fn identical(path: &Path) -> (RunLog, ReplayResult) {
     let replayed = replay(&log).unwrap();
     assert!(replayed.identical, "{:?}", replayed.first_difference);
     let streamed: Result<ReplayResult, Either> = replay_file(path);
-    assert_eq!(streamed.unwrap(), replayed);
+    assert_eq!(streamed.map_err(|Either(told)| told), Ok(replayed.clone()));
     let (first, _) = log.ticks().next().unwrap();
     let kept_from = replayed.kept_from.unwrap();
     assert_eq!(kept_from.left_out, log.header.left_out);
@@ -168,7 +168,7 @@ fn what_a_bound_kept_replays_from_its_beginning() {
             let (log, replayed) = identical(&file.0);
             assert!(replayed.bounded && replayed.inputs_checked && log.header.left_out > 0);
             let ticks: Vec<u64> = log.ticks().map(|(tick, _)| tick.tick).collect();
-            assert!(ticks.len() > 500 && next.is_none_or(|next| next == ticks[0]));
+            assert!(ticks.len() >= 250 && next.is_none_or(|next| next == ticks[0]));
             next = ticks.last().map(|last| last + 1);
             let verified = verify(&log).unwrap();
             assert_eq!((verified.violation_count, verified.bounded), (0, true));
@@ -181,9 +181,9 @@ fn what_a_bound_kept_replays_from_its_beginning() {
 #[test]
 fn a_cut_part_replays_up_to_the_cut() {
     let files = one_arm("kept-cut", true);
-    let bytes = std::fs::read(&files.last.0).unwrap();
-    std::fs::write(&files.last.0, &bytes[..bytes.len() * 2 / 3]).unwrap();
-    let (_, replayed) = identical(&files.last.0);
+    let bytes = std::fs::read(&files.before.0).unwrap();
+    std::fs::write(&files.before.0, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let (_, replayed) = identical(&files.before.0);
     assert!(replayed.cut.is_some() && !replayed.bounded && !replayed.inputs_checked);
 }
 
