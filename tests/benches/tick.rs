@@ -1,5 +1,5 @@
 //! The controller's tick, that is filter, smoother, guard and a little more: of one arm and of two, with the safety QP inactive
-//! and with it active.
+//! and with it active; and how long it takes to hand over its state.
 
 mod support;
 
@@ -14,7 +14,9 @@ use trocar::histogram::Histogram;
 use trocar::rt::{Grant, MonotonicClock, RtOptions, configure_thread};
 use trocar_control::aggregate::Aggregation;
 use trocar_control::kinematics::forward;
-use trocar_control::{ControlConfig, Controller, OperatorEvent, QpOutcome, TickInput, TickOutput};
+use trocar_control::{
+    ControlConfig, Controller, OperatorEvent, QpOutcome, Snapshot, TickInput, TickOutput,
+};
 
 /// Two arms that reach towards each other.
 const HANDOVER: &str = include_str!("../../runtime/control/src/tests/scenes/handover.toml");
@@ -217,6 +219,23 @@ fn active<const ARMS: usize>(
     Ok(ticks)
 }
 
+/// What a log with a bound takes of the control thread, once in 250 ticks: the controller's state.
+fn state<const ARMS: usize>(
+    criterion: &mut Criterion,
+    name: &str,
+    config: &ControlConfig,
+    path: fn(f64) -> TipTarget,
+) -> Result<Histogram, Box<dyn Error>> {
+    let mut rig = Rig::<ARMS>::new(config, path)?;
+    let mut snapshot = Snapshot::new();
+    Ok(support::measure(criterion, name, TICKS, || {
+        rig.step();
+        let before = rig.clock.now();
+        rig.controller.save(&mut snapshot);
+        rig.clock.now().since(before)
+    }))
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let mut criterion = support::criterion();
     let scheduling = configure_thread(&REAL_TIME)?;
@@ -242,6 +261,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         "tick/qp active, whole chunk",
         "tick/two arms, qp inactive, whole chunk",
         "tick/two arms, qp active, whole chunk",
+        "state/ensemble of 100",
+        "state/two arms, whole chunk",
     ];
     let results = [
         inactive::<1>(&mut criterion, names[0], &ensemble, circle)?,
@@ -249,8 +270,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         active::<1>(&mut criterion, names[2], &whole_chunk, below_the_floor, 0.9)?,
         inactive::<2>(&mut criterion, names[3], &two_arms, apart)?,
         active::<2>(&mut criterion, names[4], &two_arms, across, 0.5)?,
+        state::<1>(&mut criterion, names[5], &ensemble, circle)?,
+        state::<2>(&mut criterion, names[6], &two_arms, across)?,
     ];
-    let limits_us = [60.0, 60.0, 250.0, 500.0, 500.0];
+    let limits_us = [60.0, 60.0, 250.0, 500.0, 500.0, 60.0, 60.0];
     for ((name, ticks), limit_us) in names.iter().zip(&results).zip(limits_us) {
         report(name, ticks, limit_us, &scheduling.fifo);
     }

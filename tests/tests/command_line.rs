@@ -410,7 +410,14 @@ fn the_part_that_a_bound_kept_can_be_verified() {
     refused_with_output(&["verify", file]);
     let told = text(&run(&["verify", file]).stdout);
     assert!(told.starts_with("partial, no violations: "), "{told}");
+    let told = text(&run(&["replay", file]).stdout);
+    assert!(
+        told.starts_with("identical: ") && told.contains(" was not kept"),
+        "{told}"
+    );
     let earlier = folder.join("a.earlier.mcap");
+    let told = run(&["replay", earlier.to_str().unwrap()]);
+    assert!(told.status.success(), "{}", text(&told.stderr));
     for kept in [file, earlier.to_str().unwrap()] {
         let told = run(&["verify", "--part", kept]);
         assert!(told.status.success(), "{}", text(&told.stderr));

@@ -14,6 +14,8 @@ mod cameras;
 mod configured;
 #[path = "faults/held_up.rs"]
 mod held_up;
+#[path = "faults/kept.rs"]
+mod kept;
 #[path = "faults/matrix.rs"]
 mod matrix;
 #[path = "faults/performer.rs"]

@@ -4,6 +4,8 @@
 mod can;
 #[path = "no_alloc/console.rs"]
 mod console;
+#[path = "no_alloc/log.rs"]
+mod log;
 
 use std::error::Error;
 

@@ -5,7 +5,10 @@
 //! count, so that late and missing chunks do no harm.
 
 use hal::chunk::CHUNK_STEPS_MAX;
-use hal::{Chunk, TimeNs, TipTarget, count};
+use hal::{ARMS_MAX, Chunk, TimeNs, TipTarget, count};
+
+use super::gate::Gate;
+use super::snapshot::{HELD_MAX, Reader, Snapshot, SnapshotError, Words as _, layout, possible};
 
 /// Chunks that are kept: as many as can cover one instant when a policy answers every step.
 const RING: usize = CHUNK_STEPS_MAX;
@@ -47,7 +50,6 @@ impl Aggregator {
             Aggregation::Ensemble { decay } => decay,
             Aggregation::WholeChunk | Aggregation::Newest => 0.0,
         };
-        let blank = Chunk::new(TimeNs(0), 0, hal::TICK_NS, &[]);
         let mut age = 0.0;
         let weights = core::array::from_fn(|_| {
             let weight = f64::exp(-decay * age);
@@ -57,7 +59,7 @@ impl Aggregator {
         Self {
             mode,
             weights,
-            ring: vec![blank; RING],
+            ring: vec![blank(); RING],
             next: 0,
             count: 0,
         }
@@ -122,6 +124,66 @@ impl Aggregator {
         }
     }
 
+    /// Slots that hold a chunk, whether it still counts or not, the newest one's last.
+    fn filled(&self) -> impl Iterator<Item = usize> {
+        let begin = match self.mode {
+            Aggregation::WholeChunk => 0,
+            Aggregation::Ensemble { .. } | Aggregation::Newest => self.next + RING - self.count,
+        };
+        (begin..begin + self.count).map(|slot| slot % RING)
+    }
+
+    /// Adds the state at the tick `newest` to a snapshot: of chunks those whose horizon has not passed, and the newest one, whose age counts.
+    pub(super) fn save(&self, arm: usize, newest: TimeNs, to: &mut Snapshot) {
+        let Self {
+            mode: _,
+            weights: _,
+            ring,
+            next,
+            count,
+        } = self;
+        const { assert!(ARMS_MAX * RING <= HELD_MAX) }
+        (*next, *count).put(to);
+        let last = self.filled().last();
+        for slot in self.filled() {
+            let chunk = &ring[slot];
+            if Some(slot) == last || place(chunk, newest).is_some() {
+                to.hold(arm, slot, chunk);
+            }
+        }
+    }
+
+    /// Takes over the state that [`Self::save`] added; `gate` is that of the same arm.
+    pub(super) fn restore(
+        &mut self,
+        arm: usize,
+        newest: TimeNs,
+        gate: &Gate,
+        from: &mut Reader<'_>,
+    ) -> Result<(), SnapshotError> {
+        let Self {
+            mode: _,
+            weights: _,
+            ring,
+            next,
+            count,
+        } = self;
+        *next = usize::take(from)?;
+        *count = usize::take(from)?;
+        possible(*next < RING && *count <= RING)?;
+        ring.fill(blank());
+        for (slot, chunk) in from.chunks(arm) {
+            possible(gate.may_have_accepted(chunk, newest))?;
+            *ring.get_mut(slot).ok_or(SnapshotError::Impossible)? = *chunk;
+        }
+        Ok(())
+    }
+
+    /// The chunk at `slot`.
+    pub(super) fn at(&self, slot: usize) -> Option<&Chunk> {
+        self.ring.get(slot)
+    }
+
     fn by_age(&self, rank: usize) -> &Chunk {
         &self.ring[(self.next + RING - self.count + rank) % RING]
     }
@@ -142,6 +204,14 @@ impl Aggregator {
         }
         Some((here.target()?, later.target()?))
     }
+}
+
+/// What [`Aggregator::save`] adds, by name.
+pub(super) const LAYOUT: u64 = layout("Aggregator next count arm slot", &[]);
+
+/// A chunk that covers no instant.
+fn blank() -> Chunk {
+    Chunk::new(TimeNs(0), 0, hal::TICK_NS, &[])
 }
 
 /// A weighted mean of targets: positions by weight, rotations on the sphere, the jaw from the newest.

@@ -6,7 +6,8 @@ use super::filter::Problem;
 use super::guard::MeasuredClearance;
 use super::report::{TickInput, TickOutput};
 use super::rows::Velocities;
-use hal::PerArm;
+use super::snapshot::{HeldChunk, Snapshot, SnapshotError};
+use hal::{Chunk, PerArm};
 
 /// A controller of one arm or of two.
 #[derive(Debug)]
@@ -54,6 +55,34 @@ impl AnyController {
             }
             (Self::One(_), Some(_)) => panic!("inputs of two arms for a controller of one"),
             (Self::Two(_), None) => panic!("inputs of one arm for a controller of two"),
+        }
+    }
+
+    /// As [`Controller::save`].
+    pub fn save(&self, to: &mut Snapshot) {
+        match self {
+            Self::One(controller) => controller.save(to),
+            Self::Two(controller) => controller.save(to),
+        }
+    }
+
+    /// As [`Controller::restore`].
+    ///
+    /// # Errors
+    /// [`SnapshotError`]; the controller is of no use then.
+    pub fn restore(&mut self, snapshot: &Snapshot, chunks: &[Chunk]) -> Result<(), SnapshotError> {
+        match self {
+            Self::One(controller) => controller.restore(snapshot, chunks),
+            Self::Two(controller) => controller.restore(snapshot, chunks),
+        }
+    }
+
+    /// As [`Controller::held`].
+    #[must_use]
+    pub fn held(&self, held: &HeldChunk) -> Option<&Chunk> {
+        match self {
+            Self::One(controller) => controller.held(held),
+            Self::Two(controller) => controller.held(held),
         }
     }
 

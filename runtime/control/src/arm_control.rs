@@ -3,7 +3,7 @@
 
 use hal::{ArmError, ArmState, Chunk, TICK_NS, TimeNs, TipTarget};
 
-use super::aggregate::Aggregator;
+use super::aggregate::{self, Aggregator};
 use super::config::{ControlConfig, FollowingError};
 use super::deviation::Deviation;
 use super::gate::{Gate, GateDecision};
@@ -11,6 +11,7 @@ use super::instrument::{Instrument, KinematicState};
 use super::mode::{Event, Mode, OperatingState, OperatorEvent, next};
 use super::motion::{AXES, Axes, MotionState};
 use super::report::{Fault, TickInput};
+use super::snapshot::{Reader, Snapshot, SnapshotError, Stateful, possible, state};
 use super::tracking::Tracking;
 use crate::kinematics::forward;
 
@@ -71,7 +72,56 @@ impl Plan {
     };
 }
 
+// The aggregator's is beside it, since chunks are not words; where the instrument is measured is found in each tick before it counts.
+state!(ArmControl {
+    state: OperatingState,
+    homed: bool,
+    powered: bool,
+    fault: Option<Fault>,
+    commanded: MotionState,
+    jaw_effort_n_m: f64,
+    gate: Gate,
+    enabled_at: TimeNs,
+    speed: f64,
+    deviation: Deviation,
+    following_error_m: f64,
+} beside {
+    aggregator,
+    tracking,
+    following_error_max,
+    measured,
+    stale_ns,
+    lookahead_ns,
+    soft_start_ns,
+});
+
 impl ArmControl {
+    /// Names, types and order of what [`Self::save_all`] adds.
+    pub(super) const LAYOUT_OF_ALL: [u64; 2] = [<Self as Stateful>::LAYOUT, aggregate::LAYOUT];
+
+    /// Adds all of its state after the tick `newest` to a snapshot, as that of the arm `index`.
+    pub(super) fn save_all(&self, index: usize, newest: TimeNs, to: &mut Snapshot) {
+        self.save(to);
+        self.aggregator.save(index, newest, to);
+    }
+
+    /// Takes over what [`Self::save_all`] added.
+    pub(super) fn restore_all(
+        &mut self,
+        index: usize,
+        newest: TimeNs,
+        from: &mut Reader<'_>,
+    ) -> Result<(), SnapshotError> {
+        self.restore(from)?;
+        possible(self.commanded.is_finite() && (0.0..=1.0).contains(&self.speed))?;
+        self.aggregator.restore(index, newest, &self.gate, from)
+    }
+
+    /// The chunk that it holds at `slot`.
+    pub(super) fn held(&self, slot: usize) -> Option<&Chunk> {
+        self.aggregator.at(slot)
+    }
+
     pub(super) fn new(config: &ControlConfig) -> Self {
         Self {
             state: OperatingState::Disabled,

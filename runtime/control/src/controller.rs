@@ -1,7 +1,7 @@
 //! The tick: measured arms and newest chunks in, commands out. Hot path: bounded, no allocation, no I/O, no clock, no lock.
 
 use hal::tail::{AxisPoint, AxisTail, SafeTail, TailPhase};
-use hal::{JointVector, Pose, TICK_NS, TICK_S, TimeNs};
+use hal::{Chunk, JointVector, Pose, TICK_NS, TICK_S, TimeNs};
 
 use super::arm_control::{ArmControl, Plan};
 use super::config::ControlConfig;
@@ -13,6 +13,9 @@ use super::motion::{AXES, Axes, AxisLimits, MotionState};
 use super::report::{QpOutcome, TickInput, TickOutput, TickReport};
 use super::rows::{ARMS_MAX, RowInput, Rows, Velocities};
 use super::smoother::Smoother;
+use super::snapshot::{
+    HeldChunk, Reader, Snapshot, SnapshotError, Stateful, Words, layout, possible,
+};
 use super::stop::Remainder;
 use crate::kinematics::forward;
 
@@ -135,6 +138,30 @@ impl<const ARMS: usize> Controller<ARMS> {
     #[must_use]
     pub fn following_errors_m(&self) -> [f64; ARMS] {
         self.arms.each_ref().map(|arm| arm.following_error_m)
+    }
+
+    /// Puts the complete state after the newest tick into `to`. Hot path: bounded, no allocation.
+    pub fn save(&self, to: &mut Snapshot) {
+        to.begin(<Self as Stateful>::LAYOUT);
+        Stateful::save(self, to);
+    }
+
+    /// Goes on from the state in `snapshot`, taken of a controller that was built from the same configuration: from the same inputs follow the
+    /// same bits. `chunks` are those of [`Snapshot::held`], in the same order.
+    ///
+    /// # Errors
+    /// [`SnapshotError`]; the controller is of no use then.
+    pub fn restore(&mut self, snapshot: &Snapshot, chunks: &[Chunk]) -> Result<(), SnapshotError> {
+        let mut from = snapshot.read(<Self as Stateful>::LAYOUT, chunks)?;
+        possible(snapshot.held().iter().all(|held| held.arm < ARMS))?;
+        Stateful::restore(self, &mut from)?;
+        from.finish()
+    }
+
+    /// The chunk that the controller has where `held` says.
+    #[must_use]
+    pub fn held(&self, held: &HeldChunk) -> Option<&Chunk> {
+        self.arms.get(held.arm)?.held(held.slot)
     }
 
     /// One control period of all arms, which share one `now`.
@@ -299,6 +326,64 @@ impl<const ARMS: usize> Controller<ARMS> {
                 .map(|axis| axis_tail(&axis.remainder(played_s))),
             enabled,
         }
+    }
+}
+
+// Rows and filter are filled anew in each tick.
+impl<const ARMS: usize> Stateful for Controller<ARMS> {
+    const LAYOUT: u64 = layout(
+        "Controller newest arms smoothers guard",
+        &[
+            ARMS as u64,
+            ArmControl::LAYOUT_OF_ALL[0],
+            ArmControl::LAYOUT_OF_ALL[1],
+            <Smoother as Stateful>::LAYOUT,
+            <Guard<ARMS> as Stateful>::LAYOUT,
+        ],
+    );
+
+    fn save(&self, to: &mut Snapshot) {
+        let Self {
+            arms,
+            smoothers,
+            rows: _,
+            filter: _,
+            guard,
+            config: _,
+            newest,
+            #[cfg(test)]
+                sabotage: _,
+        } = self;
+        newest.put(to);
+        for (index, arm) in arms.iter().enumerate() {
+            arm.save_all(index, newest.unwrap_or_default(), to);
+        }
+        for smoother in smoothers {
+            smoother.save(to);
+        }
+        guard.save(to);
+    }
+
+    fn restore(&mut self, from: &mut Reader<'_>) -> Result<(), SnapshotError> {
+        let Self {
+            arms,
+            smoothers,
+            rows: _,
+            filter: _,
+            guard,
+            config: _,
+            newest,
+            #[cfg(test)]
+                sabotage: _,
+        } = self;
+        newest.restore(from)?;
+        for (index, arm) in arms.iter_mut().enumerate() {
+            arm.restore_all(index, newest.unwrap_or_default(), from)?;
+        }
+        for smoother in smoothers {
+            smoother.restore(from)?;
+        }
+        guard.restore(from)
     }
 }
 

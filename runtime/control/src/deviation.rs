@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::instrument::{Instrument, KinematicState, LINKS};
 use super::kinematics::Frames;
+use super::snapshot::words;
 
 /// Decay of a held deviation per tick: it decays within about the longest stop, 0.4 s.
 const LEFT_PER_TICK: f64 = 0.9975;
@@ -23,6 +24,13 @@ pub struct Deviation {
     /// By how much the tip is turned, rad.
     pub turn_rad: f64,
 }
+
+words!(Deviation {
+    links_m: [f64; LINKS],
+    tip_m: f64,
+    fingers_m: [f64; 2],
+    turn_rad: f64,
+});
 
 impl Deviation {
     /// The deviation of `measured` from `commanded`.

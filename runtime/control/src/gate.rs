@@ -4,6 +4,8 @@
 use hal::{Chunk, Pose, TICK_NS, TimeNs, TipTarget, count};
 use nalgebra::Vector3;
 
+use super::snapshot::state;
+
 /// The longest step that a chunk may have, ns.
 const STEP_NS_MAX: u64 = 1_000_000_000;
 
@@ -95,6 +97,15 @@ pub struct Gate {
     accepted_count: u64,
     refused_count: u64,
 }
+
+state!(Gate {
+    accepted: Option<(u64, TimeNs)>,
+    not_before: TimeNs,
+    held: bool,
+    judged: Option<(u64, TimeNs)>,
+    accepted_count: u64,
+    refused_count: u64,
+} beside { limits });
 
 impl Gate {
     /// A gate that has seen nothing.
@@ -202,6 +213,15 @@ impl Gate {
             return GateDecision::Elsewhere;
         }
         GateDecision::Accepted
+    }
+
+    /// Whether `chunk` is one that the gate may have let through at `newest` or before: as for its form, at any time.
+    pub(super) fn may_have_accepted(&self, chunk: &Chunk, newest: TimeNs) -> bool {
+        let targets = chunk.valid_targets();
+        !targets.is_empty()
+            && (TICK_NS..=STEP_NS_MAX).contains(&chunk.step_ns)
+            && chunk.observed_at <= newest
+            && self.first_bad_target(targets).is_none()
     }
 
     fn first_bad_target(&self, targets: &[TipTarget]) -> Option<GateDecision> {

@@ -51,9 +51,10 @@ use super::config::{ControlConfig, FORBIDDEN_MAX};
 use super::deviation::Deviation;
 use super::instrument::Instrument;
 use super::motion::MotionState;
+use super::snapshot::{Reader, Snapshot, SnapshotError, Stateful, layout, possible};
 use super::stop::Stop;
 use arm::ArmGuard;
-use gaps::Gaps;
+use gaps::{Gaps, KINDS};
 use hal::ARMS_MAX;
 use measured::gap_allowances;
 pub use measured::{MeasuredClearance, beyond};
@@ -108,6 +109,49 @@ pub enum GuardError {
     /// Two arms that may meet anywhere.
     #[error("the configuration does not say what two arms keep between them")]
     BetweenArms,
+}
+
+impl<const ARMS: usize> Stateful for Guard<ARMS> {
+    const LAYOUT: u64 = layout(
+        "Guard second_first arms pair",
+        &[
+            ARMS as u64,
+            <ArmGuard as Stateful>::LAYOUT,
+            <Pair as Stateful>::LAYOUT,
+        ],
+    );
+
+    fn save(&self, to: &mut Snapshot) {
+        let Self {
+            arms,
+            pair,
+            second_first,
+        } = self;
+        second_first.save(to);
+        for arm in arms {
+            arm.save(to);
+        }
+        if let Some(pair) = pair {
+            pair.save(to);
+        }
+    }
+
+    fn restore(&mut self, from: &mut Reader<'_>) -> Result<(), SnapshotError> {
+        let Self {
+            arms,
+            pair,
+            second_first,
+        } = self;
+        second_first.restore(from)?;
+        for arm in arms {
+            arm.restore(from)?;
+        }
+        if let Some(pair) = pair {
+            pair.restore(from)?;
+            possible(pair.nearest.is_of(KINDS.len()))?;
+        }
+        Ok(())
+    }
 }
 
 impl<const ARMS: usize> Guard<ARMS> {

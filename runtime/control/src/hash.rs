@@ -41,6 +41,12 @@ impl CommandHash {
         Self(Fnv1a::new())
     }
 
+    /// The hash whose [`Self::value`] was `value`, to go on with.
+    #[must_use]
+    pub const fn resumed(value: u64) -> Self {
+        Self(Fnv1a(value))
+    }
+
     /// Takes in one command: stamp, joint positions and velocities, jaw, and whether the drives hold torque.
     pub fn add(&mut self, command: &ArmCommand) {
         let Self(hash) = self;
@@ -73,6 +79,12 @@ impl InputHash {
     #[must_use]
     pub const fn new() -> Self {
         Self(Fnv1a::new())
+    }
+
+    /// The hash whose [`Self::value`] was `value`, to go on with.
+    #[must_use]
+    pub const fn resumed(value: u64) -> Self {
+        Self(Fnv1a(value))
     }
 
     /// Takes in the chunk that the arm `arm`, counted from 0, is given in the coming tick, up to its length.

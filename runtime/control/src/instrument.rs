@@ -6,6 +6,7 @@ use hal::{JointVector, Pose};
 use nalgebra::{Point3, SMatrix, Vector3};
 
 use super::motion::{AXES, MotionState};
+use super::snapshot::words;
 use crate::kinematics::Frames;
 
 /// Shaft, wrist and two fingers.
@@ -60,6 +61,13 @@ pub struct Instrument {
     /// The tips of the fingers, left and right, m.
     pub fingers_m: [Vector3<f64>; 2],
 }
+
+words!(Instrument {
+    rcm_m: Vector3<f64>,
+    wrist_m: Vector3<f64>,
+    tip_m: Vector3<f64>,
+    fingers_m: [Vector3<f64>; 2],
+});
 
 impl Instrument {
     /// The instrument in the RCM frame, with the jaw at `jaw` rad.

@@ -23,6 +23,7 @@ mod schema;
 #[cfg(any(test, feature = "second-opinion"))]
 pub mod second_opinion;
 pub mod smoother;
+pub mod snapshot;
 pub mod stop;
 pub mod tracking;
 pub mod viability;
@@ -41,3 +42,4 @@ pub use guard::{MeasuredClearance, beyond};
 pub use hash::{CommandHash, InputHash};
 pub use mode::{Mode, OperatingState, OperatorEvent};
 pub use report::{Fault, QpOutcome, TickInput, TickOutput, TickReport};
+pub use snapshot::{HeldChunk, Snapshot, SnapshotError};

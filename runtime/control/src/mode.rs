@@ -9,6 +9,8 @@
 
 use core::fmt;
 
+use super::snapshot::{Reader, Snapshot, SnapshotError, Words, layout};
+
 /// The CRTK operating state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OperatingState {
@@ -38,6 +40,29 @@ impl OperatingState {
 impl fmt::Display for OperatingState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
+    }
+}
+
+impl Words for OperatingState {
+    const LAYOUT: u64 = layout("OperatingState Disabled Enabled Paused Fault", &[]);
+
+    fn put(&self, to: &mut Snapshot) {
+        to.push(match self {
+            Self::Disabled => 0,
+            Self::Enabled => 1,
+            Self::Paused => 2,
+            Self::Fault => 3,
+        });
+    }
+
+    fn take(from: &mut Reader<'_>) -> Result<Self, SnapshotError> {
+        match from.word()? {
+            0 => Ok(Self::Disabled),
+            1 => Ok(Self::Enabled),
+            2 => Ok(Self::Paused),
+            3 => Ok(Self::Fault),
+            _ => Err(SnapshotError::Impossible),
+        }
     }
 }
 

@@ -2,6 +2,8 @@
 
 use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, TimeNs};
 
+use super::snapshot::words;
+
 /// Joints and jaw.
 pub const AXES: usize = JOINT_COUNT + 1;
 
@@ -36,6 +38,12 @@ pub struct MotionState {
     /// Accelerations.
     pub acceleration: Axes,
 }
+
+words!(MotionState {
+    position: Axes,
+    velocity: Axes,
+    acceleration: Axes,
+});
 
 impl MotionState {
     /// At rest with every axis at zero.

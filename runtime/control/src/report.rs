@@ -7,6 +7,7 @@ use hal::{ArmCommand, ArmError, ArmState, Chunk, TimeNs, TipTarget};
 
 use super::gate::GateDecision;
 use super::mode::{Mode, OperatorEvent};
+use super::snapshot::{Reader, Snapshot, SnapshotError, Words, layout};
 
 /// Everything that a tick may look at.
 #[derive(Clone, Copy, Debug)]
@@ -88,6 +89,38 @@ pub enum Fault {
         /// By how much the measured tip is turned against the commanded one, rad.
         turn_rad: f64,
     },
+}
+
+impl Words for Fault {
+    const LAYOUT: u64 = layout(
+        "Fault MeasurementNotFinite MeasurementOutOfRange axis value Arm TrackingError tip_m turn_rad",
+        &[<ArmError as Words>::LAYOUT],
+    );
+
+    fn put(&self, to: &mut Snapshot) {
+        match self {
+            Self::MeasurementNotFinite => to.push(0),
+            Self::MeasurementOutOfRange { axis, value } => (1_u64, (*axis, *value)).put(to),
+            Self::Arm(error) => (2_u64, *error).put(to),
+            Self::TrackingError { tip_m, turn_rad } => (3_u64, (*tip_m, *turn_rad)).put(to),
+        }
+    }
+
+    fn take(from: &mut Reader<'_>) -> Result<Self, SnapshotError> {
+        Ok(match from.word()? {
+            0 => Self::MeasurementNotFinite,
+            1 => Self::MeasurementOutOfRange {
+                axis: u8::take(from)?,
+                value: f64::take(from)?,
+            },
+            2 => Self::Arm(ArmError::take(from)?),
+            3 => Self::TrackingError {
+                tip_m: f64::take(from)?,
+                turn_rad: f64::take(from)?,
+            },
+            _ => return Err(SnapshotError::Impossible),
+        })
+    }
 }
 
 impl fmt::Display for Fault {

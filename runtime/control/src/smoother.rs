@@ -12,6 +12,7 @@ use rsruckig::prelude::{
 };
 
 use super::motion::{AXES, Axes, AxisLimits, MotionState};
+use super::snapshot::{Reader, Snapshot, SnapshotError, Stateful, layout};
 use lowered::AxisLowering;
 
 /// Brings each axis to its target velocity as fast as acceleration and jerk allow, one tick at a time.
@@ -121,6 +122,38 @@ impl Smoother {
             velocity: core::array::from_fn(|axis| velocity[axis]),
             acceleration: core::array::from_fn(|axis| acceleration[axis]),
         }
+    }
+}
+
+// Ruckig computes each trajectory anew, from an input that `load` fills.
+impl Stateful for Smoother {
+    const LAYOUT: u64 = layout("Smoother axes", &[<AxisLowering as Stateful>::LAYOUT]);
+
+    fn save(&self, to: &mut Snapshot) {
+        let Self {
+            ruckig: _,
+            input: _,
+            trajectory: _,
+            axes,
+            tick_s: _,
+        } = self;
+        for axis in axes {
+            axis.save(to);
+        }
+    }
+
+    fn restore(&mut self, from: &mut Reader<'_>) -> Result<(), SnapshotError> {
+        let Self {
+            ruckig: _,
+            input: _,
+            trajectory: _,
+            axes,
+            tick_s: _,
+        } = self;
+        for axis in axes {
+            axis.restore(from)?;
+        }
+        Ok(())
     }
 }
 

@@ -5,6 +5,7 @@
 //! code with it.
 
 use super::motion::{AXES, Axes, AxisLimits, MotionState};
+use super::snapshot::words;
 
 /// A moment of a profile, after which the jerk is constant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,6 +16,14 @@ struct Knot {
     acceleration: f64,
     jerk: f64,
 }
+
+words!(Knot {
+    time_s: f64,
+    position: f64,
+    velocity: f64,
+    acceleration: f64,
+    jerk: f64,
+});
 
 impl Knot {
     fn after(&self, time_s: f64) -> (f64, f64, f64) {
@@ -32,6 +41,8 @@ impl Knot {
 pub struct AxisStop {
     knots: [Knot; 4],
 }
+
+words!(AxisStop { knots: [Knot; 4] });
 
 impl AxisStop {
     /// The stop from position, velocity and acceleration under `limits`.
@@ -201,6 +212,10 @@ fn turning_times(knot: &Knot) -> [f64; 2] {
 pub struct Stop {
     axes: [AxisStop; AXES],
 }
+
+words!(Stop {
+    axes: [AxisStop; AXES]
+});
 
 impl Stop {
     /// The stop from `state` under `limits`.

@@ -17,6 +17,7 @@ use super::joints;
 use super::json::{ChunkMessage, TickMessage, TimingMessage};
 use super::messages::{JointStates, Log};
 use super::record::{LoggedArm, LoggedTick, TickTiming};
+use super::snapshot::LoggedSnapshot;
 use super::step::{LogEnd, Step};
 use super::topic::Topic;
 use trocar_control::OperatorEvent;
@@ -71,6 +72,8 @@ pub(super) struct Assembly<F> {
     /// The second arm, whose messages come before the first one's.
     second: Option<(TickMessage, LoggedArm)>,
     timing: Option<TimingMessage>,
+    /// The controller's state since the last tick.
+    snapshot: Option<LoggedSnapshot>,
 }
 
 /// An arm's messages of the tick that is not complete yet.
@@ -109,6 +112,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Visitor for Assembly
                 let text = protobuf::<Log>(data)?.message;
                 (self.to)(&self.facts.header, Event::Text(text))?;
             }
+            Topic::Snapshot => self.snapshot(LoggedSnapshot::read(data)?)?,
             Topic::MeasuredCp | Topic::Transforms | Topic::Task | Topic::Buses => {}
         }
         Ok(())
@@ -152,6 +156,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
             parts: Default::default(),
             second: None,
             timing: None,
+            snapshot: None,
         }
     }
 
@@ -172,11 +177,15 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
             cut: cut.or_else(|| self.facts.incomplete()),
             bounded: whole && (self.facts.header.left_out > 0 || self.facts.goes_on),
             altered: self.facts.altered,
+            snapshot: self.snapshot.take(),
         })
     }
 
     /// Ticks that the logger dropped after the last one of the file.
     fn dropped_at_end(&self) -> u64 {
+        if let Some(snapshot) = &self.snapshot {
+            return snapshot.record.saturating_sub(self.next_record);
+        }
         if self.facts.goes_on {
             return 0;
         }
@@ -184,6 +193,14 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
             counts.ticks.saturating_add(counts.ticks_dropped)
         });
         handed_over.saturating_sub(self.next_record)
+    }
+
+    /// Keeps the controller's state for the tick that follows it.
+    fn snapshot(&mut self, snapshot: LoggedSnapshot) -> Result<(), String> {
+        if snapshot.record < self.next_record {
+            return Err("the record numbers go backwards".to_owned());
+        }
+        fill(&mut self.snapshot, snapshot)
     }
 
     /// Takes the tick message of the arm `arm`, logged at `at_ns`: the first arm's completes the tick.
@@ -232,12 +249,14 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
         let reports = self.parts.each_mut().map(|parts| parts.report.take());
         let mut chunks = [chunk.as_ref(), second_chunk.as_ref()].into_iter();
         let mut of_arm = reports.iter().map(Option::as_deref);
+        let snapshot = self.snapshot.take();
         let step = Step {
             tick: &tick,
             chunks: tick.arms.as_ref().map(|_| chunks.next().flatten()),
             reports: tick.arms.as_ref().map(|_| of_arm.next().flatten()),
             dropped_before,
             chunk_dropped,
+            snapshot: snapshot.as_ref(),
         };
         (self.to)(&self.facts.header, Event::Step(step))
     }

@@ -6,10 +6,21 @@ use std::path::{Path, PathBuf};
 
 use super::error::LogError;
 use super::header::RunHeader;
+use super::snapshot::{SeenChunks, SnapshotQueue};
 use super::writer::LogWriter;
 
 /// What may be written between two checks of the size: all between two flushes, and the end.
 pub(super) const SPARE_BYTES: u64 = 2 << 20;
+
+/// What a log with a bound has besides.
+pub(super) struct Bounded {
+    pub(super) bound: Bound,
+    pub(super) snapshots: SnapshotQueue,
+    /// Chunks that a snapshot may name.
+    pub(super) seen: SeenChunks,
+    /// Whether any snapshot has come: then the next file begins at one.
+    pub(super) has_snapshots: bool,
+}
 
 /// The bound of a log.
 pub(super) struct Bound {

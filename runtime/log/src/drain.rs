@@ -12,15 +12,16 @@ use std::time::Duration;
 use hal::TimeNs;
 use rtrb::Consumer;
 
-use super::bound::Bound;
+use super::bound::Bounded;
 use super::error::LogError;
 use super::happened::StateChanges;
 use super::header::{Closing, LogCounts, RunOutcome};
 use super::item::{ChunkItem, SceneItem, SideItem, TickItem};
 use super::level::Level;
+use super::snapshot::SnapshotMessage;
 use super::sync::Syncing;
 use super::writer::LogWriter;
-use trocar_control::InputHash;
+use trocar_control::{GateDecision, InputHash};
 
 /// Pause of the writer thread when it has caught up.
 const IDLE: Duration = Duration::from_millis(2);
@@ -75,9 +76,16 @@ pub(super) struct Drain {
     /// Called at the first failure.
     pub(super) on_failure: OnFailure,
     /// The bound of the file's size, if it has one.
-    pub(super) bound: Option<Bound>,
+    pub(super) bounded: Option<Bounded>,
     /// While this lives the file is brought to its disk, if it is.
     pub(super) _syncing: Option<Syncing>,
+}
+
+/// Whether the controller may hold `chunk`, which comes with the tick `item` or with one before it that was dropped.
+fn may_be_held(chunk: &ChunkItem, item: &TickItem) -> bool {
+    let of_tick = item.chunk_records.get(chunk.arm).copied().flatten() == Some(chunk.record);
+    let report = item.tick.arms.get(chunk.arm).map(|arm| arm.report);
+    !of_tick || report.is_some_and(|report| report.gate == Some(GateDecision::Accepted))
 }
 
 /// Called on the writer thread at the first write that fails.
@@ -136,12 +144,19 @@ impl Drain {
                 let result = self.writer.chunk(&chunk, item.tick.now);
                 self.counts.chunks += 1;
                 self.note(result);
+                if let Some(bounded) = &mut self.bounded
+                    && may_be_held(&chunk, item)
+                {
+                    bounded.seen.add(&chunk);
+                }
             }
         }
     }
 
-    /// Writes a tick with its chunks and events, and begins the next file where the bound is reached.
+    /// Writes a tick with its chunks and events, and begins the next file where the bound is reached: before it, where the controller's state
+    /// came with it, and after it in a log without any.
     fn write_tick(&mut self, item: &TickItem) {
+        self.turn_at_snapshot(item.record);
         self.write_chunks(item);
         self.now = item.tick.now;
         for (level, text) in self.happened.since(&item.tick) {
@@ -151,22 +166,54 @@ impl Drain {
         let result = self.writer.tick(item);
         self.counts.ticks += 1;
         self.note(result);
-        if let Some(bound) = &self.bound
+        if let Some(bounded) = &self.bounded
+            && !bounded.has_snapshots
             && self.failure.is_none()
             && self.writer.has_flushed(item.tick.now)
-            && bound.is_reached(&self.path)
+            && bounded.bound.is_reached(&self.path)
         {
-            let next = bound.next(&self.path, item.record.saturating_add(1));
-            self.go_on(next);
+            let next = bounded
+                .bound
+                .next(&self.path, item.record.saturating_add(1));
+            self.go_on(next, None);
         }
     }
 
-    /// Closes the file and goes on in the `next`.
-    fn go_on(&mut self, next: Result<LogWriter<BufWriter<File>>, LogError>) {
+    /// Where the controller's state has come for a tick up to that of `record`, which is to be written: begins the next file there if the
+    /// bound is reached.
+    fn turn_at_snapshot(&mut self, record: u64) {
+        let bounded = self.bounded.as_mut();
+        let Some(item) = bounded.and_then(|bounded| bounded.snapshots.take(record)) else {
+            return;
+        };
+        let flushed = self.writer.flush(self.now);
+        self.note(flushed);
+        if let Some(bounded) = &mut self.bounded {
+            bounded.has_snapshots = true;
+            if self.failure.is_none() && bounded.bound.is_reached(&self.path) {
+                let snapshot = SnapshotMessage::new(&item, &bounded.seen);
+                let next = bounded.bound.next(&self.path, item.record);
+                self.go_on(next, snapshot.as_ref());
+            }
+        }
+    }
+
+    /// Closes the file and goes on in the `next`; the controller's state ends the one and begins the other.
+    fn go_on(
+        &mut self,
+        next: Result<LogWriter<BufWriter<File>>, LogError>,
+        snapshot: Option<&SnapshotMessage>,
+    ) {
         match next {
             Ok(mut next) => {
                 next.go_on_from(&self.writer);
-                let full = core::mem::replace(&mut self.writer, next);
+                let mut full = core::mem::replace(&mut self.writer, next);
+                if let Some(snapshot) = snapshot {
+                    let written = full.snapshot(self.now, snapshot);
+                    self.note(written);
+                    let written = self.writer.snapshot(self.now, snapshot);
+                    self.note(written);
+                }
                 let closing = Closing {
                     goes_on: true,
                     ..self.closing(None)

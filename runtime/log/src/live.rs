@@ -88,7 +88,22 @@ pub fn of_drives(arms: usize, cameras: &[String]) -> Vec<Channel> {
 #[must_use]
 pub fn of_log(arms: usize, cameras: &[String], are_told: bool) -> Vec<Channel> {
     let topics = Topic::ALL.into_iter();
-    let topics = topics.filter(|topic| *topic != Topic::Buses || are_told);
+    let topics = topics.filter(|topic| match topic {
+        Topic::Buses => are_told,
+        // Nobody but a replay reads it.
+        Topic::Snapshot => false,
+        Topic::MeasuredJs
+        | Topic::SetpointJs
+        | Topic::MeasuredCp
+        | Topic::Jaw
+        | Topic::Chunk
+        | Topic::Safety
+        | Topic::Timing
+        | Topic::Tick
+        | Topic::Events
+        | Topic::Transforms
+        | Topic::Task => true,
+    });
     let mut channels = channels(&topics.collect::<Vec<_>>(), arms, cameras);
     let pose = Schema::Protobuf("foxglove.PoseInFrame");
     let poses = cameras.iter().map(|camera| pose_topic(camera));

@@ -11,6 +11,7 @@ use super::assembly::{Assembly, Event, Facts};
 use super::error::LogError;
 use super::header::{LogCounts, RunHeader, RunOutcome};
 use super::record::LoggedTick;
+use super::snapshot::LoggedSnapshot;
 use super::step::{LogEnd, Step};
 
 /// A log in memory: 1 kB a tick. [`read_steps`] reads one of any length.
@@ -36,6 +37,8 @@ pub struct RunLog {
     chunks: [BTreeMap<usize, Chunk>; ARMS_MAX],
     /// Each arm's safety report in each tick, as it was written.
     reports: Vec<PerArm<Option<Box<[u8]>>>>,
+    /// By the position of the tick that follows.
+    snapshots: BTreeMap<usize, LoggedSnapshot>,
 }
 
 /// Something that the controller saw and the log lacks.
@@ -149,6 +152,8 @@ impl RunLog {
         self.cut = end.cut;
         self.bounded = end.bounded;
         self.altered = end.altered;
+        let at_end = end.snapshot.map(|snapshot| (self.ticks.len(), snapshot));
+        self.snapshots.extend(at_end);
     }
 
     /// Adds a tick with all that belongs to it.
@@ -166,6 +171,9 @@ impl RunLog {
             if let Some(chunk) = chunk {
                 chunks.insert(position, **chunk);
             }
+        }
+        if let Some(snapshot) = step.snapshot {
+            self.snapshots.insert(position, snapshot.clone());
         }
         self.reports
             .push(step.reports.map(|report| report.map(Box::from)));
@@ -193,6 +201,7 @@ impl RunLog {
                 reports: reports.as_ref().map(Option::as_deref),
                 dropped_before: 0,
                 chunk_dropped: false,
+                snapshot: self.snapshots.get(&index),
             };
             while let Some(loss) = losses.next_if(|loss| match loss {
                 Loss::Ticks { position, .. } => *position == index,
@@ -221,6 +230,7 @@ impl RunLog {
             cut: self.cut.clone(),
             bounded: self.bounded,
             altered: self.altered,
+            snapshot: self.snapshots.get(&self.ticks.len()).cloned(),
         }
     }
 

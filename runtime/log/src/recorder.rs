@@ -15,7 +15,7 @@ use std::thread::{self, JoinHandle, Thread};
 use hal::{CameraFrame, Chunk, TimeNs};
 use rtrb::{Producer, PushError, RingBuffer};
 
-use super::bound::Bound;
+use super::bound::{Bound, Bounded};
 use super::buses::BusesRecord;
 use super::camera::FrameItem;
 use super::drain::{Drain, OnFailure, Shared};
@@ -27,10 +27,11 @@ use super::level::Level;
 use super::record::TickRecord;
 use super::ring::pre_faulted_queue;
 use super::scene::SceneRecord;
+use super::snapshot::{SeenChunks, SnapshotFeed, snapshot_queue};
 use super::sync::Syncing;
 use super::writer::LogWriter;
 use hal::ARMS_MAX;
-use trocar_control::InputHash;
+use trocar_control::{AnyController, InputHash};
 
 /// What happens when a queue is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,6 +73,18 @@ const CHUNKS: usize = 64;
 const SIDE_ITEMS: usize = 64;
 /// Scenes that the queue holds: four seconds of policy steps.
 const SCENES: usize = 100;
+
+/// Both ends of what a log with that bound has besides.
+fn bounded(bound: Bound) -> (SnapshotFeed, Bounded) {
+    let (feed, snapshots) = snapshot_queue();
+    let bounded = Bounded {
+        bound,
+        snapshots,
+        seen: SeenChunks::default(),
+        has_snapshots: false,
+    };
+    (feed, bounded)
+}
 
 /// One end of a queue to the writer thread.
 struct Feed<T> {
@@ -115,9 +128,29 @@ pub struct TickLog {
     /// Each arm's chunk for the coming tick.
     pending_chunks: [Option<u64>; ARMS_MAX],
     inputs: InputHash,
+    /// Of a log with a bound.
+    snapshots: Option<SnapshotFeed>,
 }
 
 impl TickLog {
+    fn new(
+        ticks: Feed<TickItem>,
+        chunks: Feed<ChunkItem>,
+        snapshots: Option<SnapshotFeed>,
+        shared: &Arc<Shared>,
+    ) -> Self {
+        Self {
+            ticks,
+            chunks,
+            shared: Arc::clone(shared),
+            tick_count: 0,
+            chunk_count: 0,
+            pending_chunks: [None; ARMS_MAX],
+            inputs: InputHash::new(),
+            snapshots,
+        }
+    }
+
     /// Hands over one tick; to be called in every tick, after [`Self::chunk`].
     pub fn tick(&mut self, tick: &TickRecord) {
         let mut chunks = core::mem::take(&mut self.pending_chunks).into_iter();
@@ -132,8 +165,21 @@ impl TickLog {
         }
         let hash = self.inputs.value();
         self.shared.input_hash.store(hash, Ordering::Relaxed);
+        if let Some(snapshots) = &mut self.snapshots {
+            for arm in tick.arms.iter() {
+                snapshots.commands.add(&arm.command);
+            }
+        }
         if !self.ticks.push(item) {
             self.shared.ticks_dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Hands over the state of `controller` now and then, if the log has a bound: from there a replay goes on once what came before is left out.
+    /// To be called in every tick, after [`Self::tick`].
+    pub fn snapshot(&mut self, controller: &AnyController) {
+        if let Some(snapshots) = &mut self.snapshots {
+            snapshots.put(self.tick_count, self.inputs, controller);
         }
     }
 
@@ -294,6 +340,8 @@ impl Recorder {
         let (chunk_end, chunks) = pre_faulted_queue(CHUNKS);
         let (side_end, side) = RingBuffer::new(SIDE_ITEMS);
         let (scene_end, scenes) = RingBuffer::new(SCENES);
+        let bound = bytes_max.map(|bytes_max| Bound::new(bytes_max, run, path));
+        let (snapshots, bounded) = bound.map(bounded).unzip();
         let shared = Arc::new(Shared::default());
         let (outcome_sender, outcome) = mpsc::sync_channel(1);
         let drain = Drain {
@@ -310,7 +358,7 @@ impl Recorder {
             now: TimeNs(0),
             failure: None,
             on_failure,
-            bound: bytes_max.map(|bytes_max| Bound::new(bytes_max, run, path)),
+            bounded,
             // What is done in virtual time can be done again.
             _syncing: match pressure {
                 Pressure::Drop => Some(Syncing::start(path).map_err(io)?),
@@ -323,15 +371,12 @@ impl Recorder {
             .map_err(io)?;
         let writer = thread.thread().clone();
         Ok(Self {
-            ticks: TickLog {
-                ticks: Feed::new(tick_end, pressure, &writer),
-                chunks: Feed::new(chunk_end, pressure, &writer),
-                shared: Arc::clone(&shared),
-                tick_count: 0,
-                chunk_count: 0,
-                pending_chunks: [None; ARMS_MAX],
-                inputs: InputHash::new(),
-            },
+            ticks: TickLog::new(
+                Feed::new(tick_end, pressure, &writer),
+                Feed::new(chunk_end, pressure, &writer),
+                snapshots,
+                &shared,
+            ),
             side: SideLog {
                 queue: Feed::new(side_end, pressure, &writer),
                 shared: Arc::clone(&shared),
@@ -352,6 +397,11 @@ impl Recorder {
     /// See [`TickLog::tick`].
     pub fn tick(&mut self, tick: &TickRecord) {
         self.ticks.tick(tick);
+    }
+
+    /// See [`TickLog::snapshot`].
+    pub fn snapshot(&mut self, controller: &AnyController) {
+        self.ticks.snapshot(controller);
     }
 
     /// See [`TickLog::chunk`].

@@ -4,6 +4,7 @@ use hal::{Chunk, PerArm};
 
 use super::header::RunOutcome;
 use super::record::LoggedTick;
+use super::snapshot::LoggedSnapshot;
 use trocar_control::TickInput;
 
 /// One tick of a log with all that belongs to it.
@@ -19,6 +20,8 @@ pub struct Step<'a> {
     pub dropped_before: u64,
     /// Whether the logger dropped a chunk that it was given.
     pub chunk_dropped: bool,
+    /// The controller's state just before it, where a log with a bound holds it.
+    pub snapshot: Option<&'a LoggedSnapshot>,
 }
 
 impl<'a> Step<'a> {
@@ -52,4 +55,6 @@ pub struct LogEnd {
     pub bounded: bool,
     /// Whether the log is not what the run wrote: something was changed, put in or taken away.
     pub altered: bool,
+    /// The controller's state after the last tick, if the log goes on in another file.
+    pub snapshot: Option<LoggedSnapshot>,
 }

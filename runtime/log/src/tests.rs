@@ -3,6 +3,7 @@
 mod bounded;
 mod damaged;
 mod falsified;
+mod kept;
 mod live;
 mod samples;
 pub(crate) mod two_arms;

@@ -20,7 +20,7 @@ pub const TASK: &str = "/task";
 /// The topic of CAN buses.
 pub const BUSES: &str = "/buses";
 
-/// A topic that every log has; that of buses has messages in logs of CAN alone. Cameras come on top, one pair of topics each.
+/// A topic that every log has; that of buses has messages in logs of CAN alone, that of snapshots in logs with a bound. Cameras come on top, one pair of topics each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Topic {
     /// What the arm measured.
@@ -47,10 +47,12 @@ pub(super) enum Topic {
     Task,
     /// How busy the CAN buses of the arms are, and what goes wrong on them.
     Buses,
+    /// The controller's state before the first tick of a file that does not begin with the run.
+    Snapshot,
 }
 
 /// How many topics [`Topic`] has.
-pub(super) const TOPIC_COUNT: usize = 12;
+pub(super) const TOPIC_COUNT: usize = 13;
 
 impl Topic {
     /// All of them, in the order of their numbers.
@@ -67,6 +69,7 @@ impl Topic {
         Self::Transforms,
         Self::Task,
         Self::Buses,
+        Self::Snapshot,
     ];
 
     /// The names in the file, one for each arm; a single one where all arms share the topic.
@@ -86,6 +89,7 @@ impl Topic {
             Self::Transforms => &[TRANSFORMS],
             Self::Task => &[TASK],
             Self::Buses => &[BUSES],
+            Self::Snapshot => &["/snapshot"],
         }
     }
 
@@ -112,6 +116,7 @@ impl Topic {
             Self::Tick => Schema::Json("trocar.Tick", TICK_SCHEMA),
             Self::Task => Schema::Json("trocar.Task", TASK_SCHEMA),
             Self::Buses => Schema::Json("trocar.Buses", BUSES_SCHEMA),
+            Self::Snapshot => Schema::Json("trocar.Snapshot", SNAPSHOT_SCHEMA),
         }
     }
 }
@@ -260,3 +265,15 @@ const BUSES_SCHEMA: &str = r#"{"title": "trocar.Buses", "type": "object",
   "frames_per_s": {"type": "number", "description": "of the last second, both ways"},
   "load": {"type": "number", "description": "share of the last second for which frames kept the bus busy at most, at its bit rate"},
   "errors": {"type": "integer", "description": "errors and dropped frames since the interface is there"}}}}}}"#;
+
+const SNAPSHOT_SCHEMA: &str = r#"{"title": "trocar.Snapshot", "type": "object",
+"description": "The controller's complete state between two ticks, from which a replay goes on: first in a file whose log's bound left out what came before, last in the file before it. Hexadecimal numbers have 16 digits.",
+"properties": {
+  "record": {"type": "integer", "description": "of the tick that follows"},
+  "input_hash": {"type": "string", "description": "of everything that the controller was given before"},
+  "command_hash": {"type": "string", "description": "of all commands before"},
+  "layout": {"type": "string", "description": "hash over names, types and order of what is in the state"},
+  "state": {"type": "string", "description": "words of 64 bits in hexadecimal, numbers by their bits"},
+  "chunks": {"type": "array", "description": "chunks that may still count", "items": {"type": "object", "properties": {
+    "arm": {"type": "integer", "description": "from 0"}, "slot": {"type": "integer", "description": "where the controller holds it"},
+    "chunk": {"type": "object", "description": "as in trocar.Chunk"}}}}}}"#;

@@ -21,6 +21,7 @@ use super::json::{
 use super::record::{ArmRecord, TickRecord};
 use super::safety::SafetyMessage;
 use super::scene::SceneRecord;
+use super::snapshot::SnapshotMessage;
 use super::topic::{self, Schema, TOPIC_COUNT, Topic};
 use super::{Level, camera};
 
@@ -122,7 +123,15 @@ impl<W: Write + Seek> LogWriter<W> {
         self.rest(0, item, &tick.arms.first)?;
         self.previous_now = tick.now;
         if tick.now.since(self.flushed_at) >= FLUSH_NS {
-            self.flushed_at = tick.now;
+            self.flush(tick.now)?;
+        }
+        Ok(())
+    }
+
+    /// Brings everything up to the tick at `now` into the file.
+    pub(super) fn flush(&mut self, now: TimeNs) -> McapResult<()> {
+        if !self.has_flushed(now) {
+            self.flushed_at = now;
             self.writer.flush()?;
         }
         Ok(())
@@ -196,6 +205,11 @@ impl<W: Write + Seek> LogWriter<W> {
     /// Writes where everything in the scene is, and how its task stands.
     pub(super) fn scene(&mut self, at: TimeNs, scene: &SceneRecord) -> McapResult<()> {
         self.json(Topic::Task, 0, at, scene)
+    }
+
+    /// Writes the controller's state after the tick at `now`.
+    pub(super) fn snapshot(&mut self, now: TimeNs, snapshot: &SnapshotMessage) -> McapResult<()> {
+        self.json(Topic::Snapshot, 0, now, snapshot)
     }
 
     /// Writes how the buses are.

@@ -98,8 +98,7 @@ impl LogView {
                     recomputed.insert(Recomputed::new(header, seen)?)
                 }
             };
-            recomputed.step(step);
-            Ok(())
+            Ok(recomputed.step(step)?)
         })?;
         let recomputed = recomputed.ok_or(ReplayError::Empty)?;
         let view = recomputed.view(&header, &end, events);
@@ -469,11 +468,14 @@ impl Recomputed {
         })
     }
 
-    fn step(&mut self, step: &Step<'_>) {
+    fn step(&mut self, step: &Step<'_>) -> Result<(), ReplayError> {
         let (logged, inputs) = (step.tick, step.inputs());
         // A log may hold other arms than its configuration.
         if inputs.count() != self.controller.arm_count() {
-            return;
+            return Ok(());
+        }
+        if let Some(snapshot) = step.snapshot {
+            snapshot.restore(&mut self.controller)?;
         }
         let outputs = self.controller.tick(&inputs);
         let mut record = TickRecord::new(logged.tick, inputs, outputs, logged.timing);
@@ -499,6 +501,7 @@ impl Recomputed {
         }
         self.tap.tick(&record, &self.controller, self.skipped);
         self.keep(&record);
+        Ok(())
     }
 
     fn keep(&mut self, record: &TickRecord) {
@@ -680,6 +683,28 @@ mod tests {
         });
         assert_eq!(moved[0].len(), moved[1].len());
         assert_ne!(moved[0][encode::HEAD..], moved[1][encode::HEAD..]);
+    }
+
+    /// A part that a bound kept shows the states that the run was in, not those of a controller that begins there.
+    #[test]
+    fn a_part_of_a_log_shows_the_states_of_its_run() {
+        let folder = Scratch::folder("log-view-part");
+        let plan = Plan {
+            seed: 7,
+            log: Some(folder.0.join("run.mcap")),
+            log_frames: false,
+            log_bytes_max: Some((4 << 20) + 200_000),
+            ..Plan::load("needle-lift", PolicyChoice::Expert).unwrap()
+        };
+        assert!(run_lockstep(&plan).unwrap().ok);
+        let path = plan.log.as_deref().unwrap();
+        assert!(RunLog::open(path).unwrap().header.left_out > 0);
+        let view = LogView::read(path, false).unwrap();
+        for at in [0.0, view.seconds()] {
+            let state = state(&view, at);
+            let arm = &state["arms"][0];
+            assert!(arm["state"] == "ENABLED" && arm["fault"].is_null(), "{arm}");
+        }
     }
 
     /// Writes ticks and chunks, as a log of before there were scenes has them.

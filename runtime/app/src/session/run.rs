@@ -16,6 +16,7 @@ use super::summary::RunSummary;
 use super::teleop::Demonstration;
 use super::{Plan, SessionError, outputs, pictures, scene_record};
 use crate::rt;
+use trocar_control::AnyController;
 use trocar_log::{LogError, Recorder, TickRecord};
 
 /// The libtorch that the program was built with.
@@ -148,9 +149,10 @@ impl EpisodeObserver for RunWatcher {
         rt::interrupted()
     }
 
-    fn tick(&mut self, record: &TickRecord) {
+    fn tick_of(&mut self, record: &TickRecord, controller: &AnyController) {
         if let Some(recorder) = &mut self.recorder {
             recorder.tick(record);
+            recorder.snapshot(controller);
         }
     }
 }

@@ -18,6 +18,7 @@ use crate::config::{ArmConfig, ControlConfig};
 use crate::deviation::Deviation;
 use crate::instrument::{Instrument, LINKS};
 use crate::motion::{AXES, AxisLimits, MotionState};
+use crate::snapshot::{state, words};
 use crate::stop::Stop;
 
 /// A stop, the positions that it takes, and where its links are on the way.
@@ -60,6 +61,36 @@ pub(super) struct ArmGuard {
     #[cfg(test)]
     pub(super) planted: Option<PlantedGuardFault>,
 }
+
+words!(Path {
+    stop: Stop,
+    ranges: [(f64, f64); AXES],
+    sweep: Sweep,
+});
+
+// What a candidate's check works with is filled before it is looked at.
+state!(ArmGuard {
+    floors: Clearances,
+    ranges: [(f64, f64); AXES],
+    held: Path,
+    played_s: f64,
+    kept: Clearances,
+    deviation: Deviation,
+    nearest: NearestOfArm,
+} beside {
+    axes,
+    tip_speed_m_s,
+    tip_turn_rad_s,
+    floor,
+    boundaries,
+    scene_from_rcm,
+    tick_s,
+    fresh,
+    least,
+    required,
+    #[cfg(test)]
+    planted,
+});
 
 impl ArmGuard {
     /// Holds the arm at `state`, at rest. It may have to be `compared` with another.

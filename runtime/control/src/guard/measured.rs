@@ -8,6 +8,7 @@ use super::gaps::{Gaps, KINDS};
 use crate::config::{ControlConfig, FORBIDDEN_MAX};
 use crate::instrument::{KinematicState, LINKS, Link};
 use crate::motion::MotionState;
+use crate::snapshot::{Reader, Snapshot, SnapshotError, Words, possible, words};
 
 /// The workspace, then each region.
 const BOUNDARIES: usize = 1 + FORBIDDEN_MAX;
@@ -39,7 +40,18 @@ pub(super) struct Nearest {
     ticks_beyond: u64,
 }
 
+words!(Nearest {
+    clearance_m: f64,
+    part: usize,
+    ticks_beyond: u64,
+});
+
 impl Nearest {
+    /// Whether it is of one of so many `parts`.
+    pub(super) const fn is_of(&self, parts: usize) -> bool {
+        self.part < parts
+    }
+
     pub(super) const NEVER: Self = Self {
         clearance_m: f64::INFINITY,
         part: 0,
@@ -85,6 +97,22 @@ impl Nearest {
 /// The smallest clearances of one arm.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct NearestOfArm([Nearest; BOUNDARIES]);
+
+impl Words for NearestOfArm {
+    const LAYOUT: u64 = <[Nearest; BOUNDARIES] as Words>::LAYOUT;
+
+    fn put(&self, to: &mut Snapshot) {
+        let Self(all) = self;
+        all.put(to);
+    }
+
+    fn take(from: &mut Reader<'_>) -> Result<Self, SnapshotError> {
+        let all: [Nearest; BOUNDARIES] = Words::take(from)?;
+        let [workspace, regions @ ..] = &all;
+        possible(workspace.is_of(FACES) && regions.iter().all(|region| region.is_of(LINKS)))?;
+        Ok(Self(all))
+    }
+}
 
 impl NearestOfArm {
     pub(super) const fn new() -> Self {

@@ -18,6 +18,7 @@ use super::way::Way;
 use crate::config::{BetweenArms, Margins};
 use crate::distance::distance_between_m;
 use crate::instrument::Instrument;
+use crate::snapshot::state;
 
 /// What two arms keep between them.
 #[derive(Clone, Debug)]
@@ -32,6 +33,17 @@ pub(super) struct Pair {
     #[cfg(test)]
     pub(super) planted: Option<PlantedGuardFault>,
 }
+
+state!(Pair {
+    floors: Gaps,
+    kept: Gaps,
+    nearest: Nearest,
+} beside {
+    keep_m,
+    floor,
+    #[cfg(test)]
+    planted,
+});
 
 impl Pair {
     pub(super) fn new(between: &BetweenArms, margins: &Margins) -> Self {

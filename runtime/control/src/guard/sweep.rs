@@ -7,6 +7,7 @@ use super::bounds::Bounds;
 use super::way::Way;
 use crate::instrument::{Instrument, LINKS};
 use crate::motion::AXES;
+use crate::snapshot::{Reader, Snapshot, SnapshotError, Words, layout, possible};
 
 /// Intervals into which a stop is cut.
 pub(super) const INTERVALS: u32 = 20;
@@ -90,6 +91,50 @@ impl Sweep {
             ways: &self.ways[begin..self.count],
             travel_m: &self.travel_m,
         }
+    }
+}
+
+// Samples past the last one are left over from stops before, and nothing looks at them.
+impl Words for Sweep {
+    const LAYOUT: u64 = layout(
+        "Sweep count instruments ways gap_s travel_m",
+        &[
+            <Instrument as Words>::LAYOUT,
+            <[Way; LINKS] as Words>::LAYOUT,
+        ],
+    );
+
+    fn put(&self, to: &mut Snapshot) {
+        let Self {
+            instruments,
+            ways,
+            count,
+            gap_s,
+            travel_m,
+        } = self;
+        count.put(to);
+        for (instrument, ways) in instruments.iter().zip(ways).take(*count) {
+            instrument.put(to);
+            ways.put(to);
+        }
+        gap_s.put(to);
+        travel_m.put(to);
+    }
+
+    fn take(from: &mut Reader<'_>) -> Result<Self, SnapshotError> {
+        let count = usize::take(from)?;
+        possible((1..=SAMPLES).contains(&count))?;
+        let mut sweep = Self::at_rest(Words::take(from)?);
+        sweep.ways[0] = Words::take(from)?;
+        let samples = sweep.instruments.iter_mut().zip(&mut sweep.ways);
+        for (instrument, ways) in samples.take(count).skip(1) {
+            *instrument = Words::take(from)?;
+            *ways = Words::take(from)?;
+        }
+        sweep.count = count;
+        sweep.gap_s = Words::take(from)?;
+        sweep.travel_m = Words::take(from)?;
+        Ok(sweep)
     }
 }
 

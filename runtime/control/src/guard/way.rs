@@ -10,6 +10,8 @@
 //!   that less `K t² / 2` all of them are concave, hence so is the least of them; a concave function lies above its chord, and
 //!   `K t² / 2` is at most `K gap² / 8` below its own. `|p - c|` is at least what the first bound leaves of it.
 
+use crate::snapshot::words;
+
 /// How the points of one link can move in a gap.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Way {
@@ -22,6 +24,13 @@ pub(super) struct Way {
     /// What a jaw that meets its end adds, m.
     pub(super) kink_m: f64,
 }
+
+words!(Way {
+    half_m: f64,
+    bend_m: f64,
+    turn_m2: f64,
+    kink_m: f64,
+});
 
 impl Way {
     /// The worse of two.

@@ -4,6 +4,7 @@
 //! limit or the target, and needs a longer way to stop than there may be. So the full jerk stays until the motion fits.
 
 use super::super::motion::{AxisLimits, MotionState};
+use super::super::snapshot::{Reader, Snapshot, SnapshotError, Stateful, Words, layout, possible};
 use super::super::stop::AxisStop;
 
 /// Acceleration and jerk are lowered no further than to this part.
@@ -22,6 +23,47 @@ pub(super) struct AxisLowering {
     limits: AxisLimits,
     /// Limits have been lowered, or the axis was found outside them, and the motion does not fit them yet.
     settling: bool,
+}
+
+impl Stateful for AxisLowering {
+    const LAYOUT: u64 = layout("AxisLowering velocity acceleration jerk settling", &[]);
+
+    fn save(&self, to: &mut Snapshot) {
+        let Self {
+            built: _,
+            limits,
+            settling,
+        } = self;
+        let AxisLimits {
+            low: _,
+            high: _,
+            velocity,
+            acceleration,
+            jerk,
+        } = limits;
+        (*velocity, (*acceleration, (*jerk, *settling))).put(to);
+    }
+
+    fn restore(&mut self, from: &mut Reader<'_>) -> Result<(), SnapshotError> {
+        let (velocity, (acceleration, (jerk, settling))): (f64, (f64, (f64, bool))) =
+            Words::take(from)?;
+        let built = &self.built;
+        possible((0.0..=built.velocity).contains(&velocity))?;
+        for (limit, full) in [(acceleration, built.acceleration), (jerk, built.jerk)] {
+            possible((LEAST * full..=full).contains(&limit))?;
+        }
+        *self = Self {
+            built: *built,
+            limits: AxisLimits {
+                velocity,
+                acceleration,
+                jerk,
+                ..*built
+            },
+            settling,
+        };
+        Ok(())
+    }
 }
 
 impl AxisLowering {

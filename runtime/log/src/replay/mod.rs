@@ -2,6 +2,7 @@
 //! again by another controller.
 
 mod arm;
+mod kept;
 
 use core::fmt;
 use std::path::Path;
@@ -15,10 +16,12 @@ use crate::safety;
 use crate::{LogEnd, LogError, LoggedTick, RunHeader, RunLog, Step, read_steps};
 use trocar_control::second_opinion;
 use trocar_control::{
-    AnyController, CommandHash, ControlConfig, InputHash, QpOutcome, TickOutput, TickReport,
+    AnyController, CommandHash, ControlConfig, InputHash, QpOutcome, SnapshotError, TickOutput,
+    TickReport,
 };
 
 pub use arm::RecordedArm;
+pub use kept::KeptFrom;
 
 /// What a replay found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -28,6 +31,8 @@ pub struct ReplayResult {
     pub identical: bool,
     /// Ticks that were recomputed, up to the first difference.
     pub ticks: u64,
+    /// Where it begins, if the log's bound left out what came before: with the controller's state in the log.
+    pub kept_from: Option<KeptFrom>,
     /// Whether the log's own hash over the inputs could be compared; a cut log has none, so that an input that no command
     /// shows may have changed.
     pub inputs_checked: bool,
@@ -37,6 +42,8 @@ pub struct ReplayResult {
     pub second_opinion: ReferenceComparison,
     /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
     pub cut: Option<String>,
+    /// Whether that is its own bound alone: all that the bound kept was there.
+    pub bounded: bool,
 }
 
 /// How the filter's answers compare with Clarabel's at a tolerance of 1e-10.
@@ -69,7 +76,7 @@ pub struct Difference {
     /// The tick.
     pub tick: u64,
     /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; `safety.mode` where a report does; `inputs` where only their hash shows
-    /// it; `contents` where something else in the log is not what the run wrote; `arms` where
+    /// it; `state` where that of the controller does, at the end of a file; `contents` where something else in the log is not what the run wrote; `arms` where
     /// their number does; or `log` where the logger lost an input. Where there are two arms, the arm's name comes first:
     /// `psm2.position.yaw`.
     pub what: String,
@@ -109,7 +116,7 @@ pub enum ReplayError {
     /// The controller cannot be built.
     #[error("the logged configuration makes no controller: {0}")]
     Controller(String),
-    /// The run's beginning is missing.
+    /// The run's beginning is missing, and the controller's state where the log begins is too.
     #[error(
         "the log's bound left out the first {ticks} ticks: there is nothing to replay the others from"
     )]
@@ -117,6 +124,11 @@ pub enum ReplayError {
         /// How many.
         ticks: u64,
     },
+    /// The controller can't go on from the state in the log.
+    #[error(
+        "the log's bound left out its beginning, and the controller can't go on from its state in the log: {0}"
+    )]
+    State(#[from] SnapshotError),
     /// There is nothing to compare.
     #[error("the log holds no tick")]
     Empty,
@@ -140,7 +152,7 @@ impl From<ConfigError> for ReplayError {
 /// [`ReplayError`] when the log does not say how the controller was configured or holds no tick.
 pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
     let mut replay = Replay::new(&log.header)?;
-    log.steps().for_each(|step| replay.step(&step));
+    log.steps().try_for_each(|step| replay.step(&step))?;
     replay.finish(&log.end())
 }
 
@@ -155,8 +167,7 @@ pub fn replay_file<E: From<LogError> + From<ReplayError>>(path: &Path) -> Result
             Some(replay) => replay,
             None => replay.insert(Replay::new(header)?),
         };
-        replay.step(step);
-        Ok(())
+        Ok(replay.step(step)?)
     })?;
     let replay = match replay {
         Some(replay) => replay,
@@ -169,6 +180,9 @@ pub fn replay_file<E: From<LogError> + From<ReplayError>>(path: &Path) -> Result
 struct Replay {
     run: Recomputed,
     ticks: u64,
+    /// Ticks that the log's bound left out.
+    left_out: u64,
+    kept_from: Option<KeptFrom>,
     /// The newest tick, if there was any.
     last: Option<u64>,
     found: Option<Difference>,
@@ -176,28 +190,38 @@ struct Replay {
 
 impl Replay {
     fn new(header: &RunHeader) -> Result<Self, ReplayError> {
-        if header.left_out > 0 {
-            let ticks = header.left_out;
-            return Err(ReplayError::LeftOut { ticks });
-        }
         let control = text(header, "control.toml")?;
         let config = ControlConfig::load(&control, &text(header, "safety.toml")?)?;
         Ok(Self {
             run: Recomputed::new(&config)?,
             ticks: 0,
+            left_out: header.left_out,
+            kept_from: None,
             last: None,
             found: None,
         })
     }
 
     /// Recomputes a tick; nothing after the first difference.
-    fn step(&mut self, step: &Step<'_>) {
+    fn step(&mut self, step: &Step<'_>) -> Result<(), ReplayError> {
         if self.found.is_some() {
-            return;
+            return Ok(());
         }
-        self.last = Some(step.tick.tick);
-        self.found = lost(step).or_else(|| self.run.tick(step));
+        let tick = step.tick.tick;
+        let goes_on = match self.last.replace(tick) {
+            None if self.left_out > 0 => {
+                self.kept_from = Some(self.run.go_on(self.left_out, step)?);
+                None
+            }
+            None | Some(_) => step
+                .snapshot
+                .and_then(|snapshot| self.run.other_state(tick, snapshot)),
+        };
+        self.found = goes_on
+            .or_else(|| lost(step))
+            .or_else(|| self.run.tick(step));
         self.ticks += u64::from(self.found.is_none());
+        Ok(())
     }
 
     fn finish(self, end: &LogEnd) -> Result<ReplayResult, ReplayError> {
@@ -209,16 +233,19 @@ impl Replay {
                 let count = Some(end.dropped_at_end).filter(|count| *count > 0)?;
                 Some(dropped(last, format!("{count} ticks")))
             })
+            .or_else(|| self.run.other_state(last, end.snapshot.as_ref()?))
             .or_else(|| other_inputs(end, last, self.run.inputs))
             .or_else(|| other_hash(end, last, self.run.hash))
             .or_else(|| other_contents(end, last));
         Ok(ReplayResult {
             identical: first_difference.is_none(),
             ticks: self.ticks,
-            inputs_checked: went_through && end.input_hash.is_some(),
+            kept_from: self.kept_from,
+            inputs_checked: went_through && (end.input_hash.is_some() || end.snapshot.is_some()),
             first_difference,
             second_opinion: self.run.second_opinion,
             cut: end.cut.clone(),
+            bounded: end.bounded,
         })
     }
 }

@@ -29,7 +29,9 @@ fn a_replay_recomputes_every_command() {
             inputs_checked: true,
             first_difference: None,
             second_opinion,
-            cut: None
+            kept_from: None,
+            cut: None,
+            bounded: false,
         }
     );
     assert_eq!(second_opinion.unsolved, 0);

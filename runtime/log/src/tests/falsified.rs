@@ -7,13 +7,15 @@ use mcap::records::{MessageHeader, Metadata};
 
 use super::{Scratch, run_controller, write_records};
 use crate::container::{Visitor, walk};
+use crate::contents::ContentHash;
+use crate::header;
 use crate::replay::{ReplayResult, replay};
 use crate::verify::{VerifyResult, verify};
 use crate::{LogError, RunLog};
 
 /// What a log holds, in order.
 #[derive(Clone, Debug)]
-enum Item {
+pub(super) enum Item {
     Message(String, MessageHeader, Vec<u8>),
     Metadata(String, BTreeMap<String, String>),
 }
@@ -39,10 +41,30 @@ fn honest(name: &str) -> Vec<Item> {
     let (records, header) = run_controller(300);
     let file = Scratch::new(name);
     write_records(&file, &records, &header);
+    items(&file)
+}
+
+/// What a whole file holds.
+pub(super) fn items(file: &Scratch) -> Vec<Item> {
     let mut items = Items::default();
     let bytes = std::fs::read(&file.0).unwrap();
     assert_eq!(walk(&file.0, bytes.as_slice(), &mut items).unwrap(), None);
     items.0
+}
+
+/// Makes the hash over all contents that of `items`, as whoever changed them could.
+pub(super) fn rehash(items: &mut [Item]) {
+    let mut contents = ContentHash::default();
+    for item in items {
+        match item {
+            Item::Message(topic, header, data) => contents.message(topic, header, data),
+            Item::Metadata(name, map) if name == header::OUTCOME => {
+                let hash = header::contents_after(&contents, map);
+                map.insert("contents_sha256".to_owned(), hash);
+            }
+            Item::Metadata(name, map) => contents.metadata(name, map),
+        }
+    }
 }
 
 /// A file that holds `items`.
@@ -71,7 +93,7 @@ fn written(items: &[Item]) -> Vec<u8> {
     writer.into_inner().into_inner()
 }
 
-fn read(items: &[Item]) -> Result<RunLog, LogError> {
+pub(super) fn read(items: &[Item]) -> Result<RunLog, LogError> {
     RunLog::from_bytes(&PathBuf::from("falsified.mcap"), &written(items))
 }
 

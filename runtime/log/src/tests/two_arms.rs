@@ -14,10 +14,10 @@ use crate::{Loss, RunOutcome};
 use hal::PerArm;
 use trocar_control::{AnyController, ControlConfig, OperatorEvent, TickInput};
 
-const SCENE: &str = include_str!("../../../control/src/tests/scenes/handover.toml");
+pub(super) const SCENE: &str = include_str!("../../../control/src/tests/scenes/handover.toml");
 
 /// Where both arms start.
-fn start() -> JointVector {
+pub(super) fn start() -> JointVector {
     JointVector::new(0.013, -0.021, hal::psm::HOME_INSERTION_M, 0.1, 0.05, -0.07)
 }
 

@@ -393,7 +393,8 @@ pub(crate) struct RunArgs {
     /// in its state folder), as simulation.mcap or, with --backend can or topics, TOPICS.mcap (.2.mcap of a second run at the same time), and the run before it beside it, as .before.mcap.
     #[arg(long, conflicts_with = "log")]
     pub(crate) no_log: bool,
-    /// What the log takes at most, MB: it keeps the last part, in FILE.mcap and, from before it, FILE.earlier.mcap.
+    /// What the log takes at most, MB: it keeps the last part, in FILE.mcap and, from before it, FILE.earlier.mcap, which `replay` and `verify`
+    /// take one by one.
     #[arg(long, value_name = "MB", requires = "log", value_parser = clap::value_parser!(u64).range(16..=1_000_000))]
     pub(crate) log_max_mb: Option<u64>,
     /// Cameras whose frames the log keeps besides those that the policy sees: `single` (the one that the paper gives the

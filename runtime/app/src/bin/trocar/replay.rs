@@ -5,7 +5,7 @@ use trocar::rt;
 use trocar::session::SessionError;
 use trocar::session::run::write_json;
 use trocar_data::dataset::Dataset;
-use trocar_log::replay as replaying;
+use trocar_log::replay::{self as replaying, KeptFrom, ReplayResult};
 
 use crate::args::{LogArgs, ReplayArgs};
 use crate::commands::{Done, check_result, forget_result, refuse_cut};
@@ -90,13 +90,27 @@ fn replay_log(args: &LogArgs) -> Done {
     forget_result(args)?;
     let result = replaying::replay_file::<SessionError>(&args.file)?;
     match &result.first_difference {
-        None if result.identical => console::result(&format!("identical: {} ticks", result.ticks)),
+        None if result.identical => console::result(&identical(&result)),
         None => console::result(&format!("not identical after {} ticks", result.ticks)),
         Some(difference) => console::result(&format!("differs: {difference}")),
     }
     if let Some(path) = &args.json {
         write_json(path, &result)?;
     }
-    refuse_cut(result.cut.as_deref(), args)?;
+    // What a bound left out is said, and is nothing that is wrong with what it kept.
+    let cut = result.cut.as_deref().filter(|_| !result.bounded);
+    refuse_cut(cut, args)?;
     Ok(result.identical)
+}
+
+/// How far a log is identical.
+fn identical(result: &ReplayResult) -> String {
+    let ticks = result.ticks;
+    match (result.kept_from, result.bounded) {
+        (Some(KeptFrom { left_out, at_s }), _) => format!(
+            "identical: {ticks} ticks from {at_s:.3} s on; the beginning ({left_out} ticks) was not kept"
+        ),
+        (None, true) => format!("identical: {ticks} ticks; the run goes on in another file"),
+        (None, false) => format!("identical: {ticks} ticks"),
+    }
 }

@@ -146,6 +146,7 @@ impl ControlThread {
                 .report(&record, &self.controller, timing.skipped());
             if let Some(log) = &mut self.log {
                 log.tick(&record);
+                log.snapshot(&self.controller);
             }
             if record.has_fault() {
                 hold.faulted(record.arms.count() > 1);

@@ -1,0 +1,125 @@
+//! The controller's state at the edge of two files of a bounded log, from which a replay goes on: as a message, and read back.
+
+mod queue;
+mod seen;
+
+use hal::Chunk;
+use serde::{Deserialize, Serialize};
+
+use super::json::ChunkMessage;
+use trocar_control::{AnyController, CommandHash, HeldChunk, InputHash, Snapshot, SnapshotError};
+
+pub(super) use queue::{SnapshotFeed, SnapshotItem, SnapshotQueue, snapshot_queue};
+pub(super) use seen::SeenChunks;
+
+/// `/snapshot`.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct SnapshotMessage {
+    /// Record of the tick that follows it.
+    record: u64,
+    /// Hashes of all inputs and of all commands before it.
+    input_hash: String,
+    command_hash: String,
+    layout: String,
+    state: String,
+    chunks: Vec<HeldMessage>,
+}
+
+/// A chunk that the controller holds, and where.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct HeldMessage {
+    arm: usize,
+    slot: usize,
+    chunk: ChunkMessage,
+}
+
+impl SnapshotMessage {
+    /// Of `item`, whose chunks are in `seen`; none if one was dropped on its way.
+    pub(super) fn new(item: &SnapshotItem, seen: &SeenChunks) -> Option<Self> {
+        let snapshot = &item.snapshot;
+        let held = snapshot.held().iter().map(|held| {
+            let (record, chunk) = seen.find(held)?;
+            Some(HeldMessage {
+                arm: held.arm,
+                slot: held.slot,
+                chunk: ChunkMessage::new(*record, chunk),
+            })
+        });
+        Some(Self {
+            record: item.record,
+            input_hash: hexadecimal(item.inputs.value()),
+            command_hash: hexadecimal(item.commands.value()),
+            layout: hexadecimal(snapshot.layout()),
+            state: snapshot.state().iter().copied().map(hexadecimal).collect(),
+            chunks: held.collect::<Option<_>>()?,
+        })
+    }
+}
+
+/// The controller's state between two ticks, as it is read back.
+#[derive(Clone, Debug)]
+pub struct LoggedSnapshot {
+    /// Record of the tick that follows it.
+    pub(super) record: u64,
+    /// Hash of all inputs before it.
+    pub(super) inputs: InputHash,
+    /// Hash of all commands before it.
+    pub(super) commands: CommandHash,
+    pub(super) snapshot: Snapshot,
+    /// Those of [`Snapshot::held`].
+    pub(super) chunks: Vec<Chunk>,
+}
+
+impl LoggedSnapshot {
+    /// Makes `controller`, built from the log's configuration, go on from here.
+    ///
+    /// # Errors
+    /// [`SnapshotError`]; the controller is of no use then.
+    pub fn restore(&self, controller: &mut AnyController) -> Result<(), SnapshotError> {
+        controller.restore(&self.snapshot, &self.chunks)
+    }
+
+    /// Reads a message of `/snapshot`. An error names what is wrong with it.
+    pub(super) fn read(message: &[u8]) -> Result<Self, String> {
+        let SnapshotMessage {
+            record,
+            input_hash,
+            command_hash,
+            layout,
+            state,
+            chunks: held,
+        } = serde_json::from_slice(message).map_err(|error| error.to_string())?;
+        let (words, rest) = state.as_bytes().as_chunks::<16>();
+        let state: Option<Vec<u64>> = words.iter().map(|digits| word(digits)).collect();
+        let state = state.filter(|_| rest.is_empty());
+        let chunks: Option<Vec<Chunk>> = held.iter().map(|held| held.chunk.chunk()).collect();
+        let chunks = chunks.ok_or("a chunk has more targets than a chunk can hold")?;
+        let places = held.iter().zip(&chunks).map(|(held, chunk)| HeldChunk {
+            arm: held.arm,
+            slot: held.slot,
+            sequence: chunk.sequence,
+            observed_at: chunk.observed_at,
+        });
+        let number = |text: &str| word(text.as_bytes()).ok_or("a hash is no hexadecimal number");
+        let state = state.ok_or("the state is not made of hexadecimal words")?;
+        Ok(Self {
+            record,
+            inputs: InputHash::resumed(number(&input_hash)?),
+            commands: CommandHash::resumed(number(&command_hash)?),
+            snapshot: Snapshot::from_parts(number(&layout)?, state, places.collect()),
+            chunks,
+        })
+    }
+}
+
+/// The sixteen digits of a word.
+fn hexadecimal(word: u64) -> String {
+    format!("{word:016x}")
+}
+
+/// The word with these sixteen digits.
+fn word(digits: &[u8]) -> Option<u64> {
+    let text = core::str::from_utf8(digits).ok()?;
+    let plain = text.len() == 16 && !text.starts_with('+');
+    plain.then(|| u64::from_str_radix(text, 16).ok()).flatten()
+}
