@@ -91,17 +91,17 @@ pub enum Pattern {
     Smooth,
     /// Fine grooves around the object's z axis, of machined metal.
     Brushed,
-    /// Bundles of fibres along x, with fascia between them and vessels on top.
+    /// Pink, mottled, with vessels and faint fibres under serosa: muscle, and the wall of a hollow organ.
     Muscle,
     /// A smooth capsule over faint lobules.
     Liver,
-    /// Yellow lobules with vessels in the creases.
+    /// Yellow lobules of several sizes with vessels between.
     Fat,
-    /// Creases and pores; silicone that stands for skin, too.
+    /// Even and matt: skin, and silicone that stands for it.
     Skin,
     /// A woven drape in soft folds.
     Cloth,
-    /// A thin sheet of tissue: as skin, or, finely shaded, with the vessels that run in it.
+    /// A thin sheet of tissue with the vessels that run in it.
     Membrane,
 }
 

@@ -3,15 +3,19 @@
 //! Painting costs as much as some frames, so the patterns may be as rich as they like; reading them costs the same for
 //! every pattern, and their coarser levels keep what is finer than a pixel from flickering.
 
+use std::collections::BTreeMap;
+
 use hal::count::count_u32;
 use wgpu::util::DeviceExt;
 
-use super::Shading;
 use super::textures::texture;
 use crate::visual::{Material, Pattern};
 
 /// Side of the square that a pattern is painted in, m; beyond it the pattern is mirrored.
 pub(super) const PATTERN_SIZE_M: f32 = 0.18;
+
+/// The same of what is behind all things, which is large and out of focus.
+pub(super) const BACKDROP_SIZE_M: f32 = 0.36;
 
 /// Side of the painted images, texels.
 const PATTERN_PX: u32 = 1024;
@@ -27,27 +31,36 @@ const HEIGHT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
 pub(super) struct Paints {
     albedo: wgpu::Texture,
     relief: wgpu::Texture,
-    painted: Vec<(Key, [f32; 3])>,
-    fine: bool,
+    painted: Vec<Painted>,
 }
 
-/// What makes two surfaces the same layer.
-type Key = (u32, [u32; 3]);
+/// A layer of the images.
+struct Painted {
+    key: Key,
+    base_colour: [f32; 3],
+    size_m: f32,
+}
+
+/// What makes two surfaces the same layer: pattern, bits of its colour and of the side of its square.
+type Key = (u32, [u32; 3], u32);
 
 impl Paints {
-    /// Paints what `materials` ask for, as `shading` shows it.
+    /// Paints what `materials` ask for, each in a square of its side, m.
     pub(super) fn new<'a>(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        materials: impl IntoIterator<Item = &'a Material>,
-        shading: Shading,
+        materials: impl IntoIterator<Item = (&'a Material, f32)>,
     ) -> Self {
-        let mut painted: Vec<(Key, [f32; 3])> = Vec::new();
-        for material in materials {
-            if let Some(key) = key(material)
-                && !painted.iter().any(|(known, _)| *known == key)
+        let mut painted: Vec<Painted> = Vec::new();
+        for (material, size_m) in materials {
+            if let Some(key) = key(material, size_m)
+                && !painted.iter().any(|known| known.key == key)
             {
-                painted.push((key, material.base_colour));
+                painted.push(Painted {
+                    key,
+                    base_colour: material.base_colour,
+                    size_m,
+                });
             }
         }
         let layers = count_u32(painted.len());
@@ -55,32 +68,22 @@ impl Paints {
             albedo: layered(device, "albedo", ALBEDO_FORMAT, layers),
             relief: layered(device, "relief", RELIEF_FORMAT, layers),
             painted,
-            fine: shading == Shading::Fine,
         };
         paints.paint(device, queue);
         paints
     }
 
-    /// Paints everything anew if `shading` shows other looks.
-    pub(super) fn set_shading(
-        &mut self,
-        device: &wgpu::Device,
-        queue: &wgpu::Queue,
-        shading: Shading,
-    ) {
-        let fine = shading == Shading::Fine;
-        if self.fine != fine {
-            self.fine = fine;
-            self.paint(device, queue);
-        }
-    }
-
     fn paint(&self, device: &wgpu::Device, queue: &wgpu::Queue) {
-        let painter = Painter::new(device, self.fine);
+        let painter = Painter::new(device);
+        let mut looks: BTreeMap<u32, wgpu::RenderPipeline> = BTreeMap::new();
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        for (layer, ((pattern, _), base_colour)) in (0_u32..).zip(&self.painted) {
+        for (layer, painted) in (0_u32..).zip(&self.painted) {
+            let (pattern, ..) = painted.key;
+            let look = looks
+                .entry(pattern)
+                .or_insert_with(|| painter.look(pattern));
             let images = [&self.albedo, &self.relief];
-            painter.paint(&mut encoder, (*pattern, base_colour), images, layer);
+            painter.paint(&mut encoder, (look, painted), images, layer);
         }
         queue.submit([encoder.finish()]);
     }
@@ -95,23 +98,23 @@ impl Paints {
         })
     }
 
-    /// The layer in which `material` was painted; 0 if it has no pattern.
+    /// The layer in which `material` was painted in a square of `size_m`; 0 if it has no pattern.
     #[expect(
         clippy::cast_precision_loss,
         reason = "a scene has a handful of layers"
     )]
-    pub(super) fn layer(&self, material: &Material) -> f32 {
-        let Some(wanted) = key(material) else {
+    pub(super) fn layer(&self, material: &Material, size_m: f32) -> f32 {
+        let Some(wanted) = key(material, size_m) else {
             return 0.0;
         };
-        let found = self.painted.iter().position(|(known, _)| *known == wanted);
+        let found = self.painted.iter().position(|known| known.key == wanted);
         assert!(found.is_some(), "a material of the scene was not painted");
         found.map_or(0.0, |layer| layer as f32)
     }
 }
 
-/// Pattern number of `bake.wgsl` and the bits of the colour; none if nothing is painted.
-fn key(material: &Material) -> Option<Key> {
+/// With the pattern's number of `bake.wgsl`; none if nothing is painted.
+fn key(material: &Material, size_m: f32) -> Option<Key> {
     let pattern = match material.pattern {
         Pattern::Smooth | Pattern::Brushed => return None,
         Pattern::Muscle => 1,
@@ -121,7 +124,8 @@ fn key(material: &Material) -> Option<Key> {
         Pattern::Cloth => 5,
         Pattern::Membrane => 6,
     };
-    Some((pattern, material.base_colour.map(f32::to_bits)))
+    let colour = material.base_colour.map(f32::to_bits);
+    Some((pattern, colour, size_m.to_bits()))
 }
 
 fn layered(
@@ -149,24 +153,19 @@ fn layered(
 /// The passes that paint one layer.
 struct Painter<'a> {
     device: &'a wgpu::Device,
+    module: wgpu::ShaderModule,
     paint_layout: wgpu::BindGroupLayout,
     source_layout: wgpu::BindGroupLayout,
-    look: wgpu::RenderPipeline,
     slope: wgpu::RenderPipeline,
     halve: wgpu::RenderPipeline,
 }
 
 impl<'a> Painter<'a> {
-    fn new(device: &'a wgpu::Device, fine: bool) -> Self {
+    fn new(device: &'a wgpu::Device) -> Self {
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("bake"),
             source: wgpu::ShaderSource::Wgsl(
-                concat!(
-                    include_str!("noise.wgsl"),
-                    include_str!("bake.wgsl"),
-                    include_str!("bake_fine.wgsl")
-                )
-                .into(),
+                concat!(include_str!("noise.wgsl"), include_str!("bake.wgsl")).into(),
             ),
         });
         let paint_layout = layout(
@@ -186,28 +185,36 @@ impl<'a> Painter<'a> {
             multisampled: false,
         };
         let source_layout = layout(device, &[(0, image), (1, image)]);
-        let pipeline = |entry, relief| {
+        let pipeline = |entry| {
             let layouts = [Some(&paint_layout), Some(&source_layout)];
-            pipeline(device, &module, &layouts, entry, relief)
+            pipeline(device, &module, &layouts, (entry, &[]), RELIEF_FORMAT)
         };
         Self {
             device,
-            look: pipeline(if fine { "look_fine" } else { "look" }, HEIGHT_FORMAT),
-            slope: pipeline("slope", RELIEF_FORMAT),
-            halve: pipeline("halve", RELIEF_FORMAT),
+            slope: pipeline("slope"),
+            halve: pipeline("halve"),
+            module,
             paint_layout,
             source_layout,
         }
     }
 
+    /// What paints colours and heights of one pattern: all in one take a software rasteriser seconds to compile.
+    fn look(&self, pattern: u32) -> wgpu::RenderPipeline {
+        let layouts = [Some(&self.paint_layout), Some(&self.source_layout)];
+        let constants = [("PATTERN", f64::from(pattern))];
+        let entry = ("look", &constants[..]);
+        pipeline(self.device, &self.module, &layouts, entry, HEIGHT_FORMAT)
+    }
+
     fn paint(
         &self,
         encoder: &mut wgpu::CommandEncoder,
-        (pattern, base_colour): (u32, &[f32; 3]),
+        (look, painted): (&wgpu::RenderPipeline, &Painted),
         images: [&wgpu::Texture; 2],
         layer: u32,
     ) {
-        let paint = self.paint_record(pattern, base_colour);
+        let paint = self.paint_record(painted);
         let scratch = |label, format| {
             let usage =
                 wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
@@ -223,7 +230,7 @@ impl<'a> Painter<'a> {
             scratch("albedo", ALBEDO_FORMAT),
             scratch("heights", HEIGHT_FORMAT),
         ];
-        self.pass(encoder, &self.look, &paint, &nothing, &looks);
+        self.pass(encoder, look, &paint, &nothing, &looks);
         let mut finer = images.map(|image| level_of(image, layer, 0));
         self.pass(encoder, &self.slope, &paint, &looks, &finer);
         for level in 1..LEVELS {
@@ -233,11 +240,12 @@ impl<'a> Painter<'a> {
         }
     }
 
-    fn paint_record(&self, pattern: u32, base_colour: &[f32; 3]) -> wgpu::BindGroup {
-        let mut bytes: Vec<u8> = base_colour.iter().flat_map(|c| c.to_ne_bytes()).collect();
-        bytes.extend(pattern.to_ne_bytes());
+    fn paint_record(&self, painted: &Painted) -> wgpu::BindGroup {
+        let colour = painted.base_colour.iter();
+        let mut bytes: Vec<u8> = colour.flat_map(|c| c.to_ne_bytes()).collect();
+        bytes.extend(1_i32.to_ne_bytes());
         #[expect(clippy::cast_precision_loss, reason = "a power of two")]
-        let sizes = [PATTERN_PX as f32, PATTERN_SIZE_M * 1e3, 0.0, 0.0];
+        let sizes = [PATTERN_PX as f32, painted.size_m * 1e3, 0.0, 0.0];
         bytes.extend(sizes.iter().flat_map(|size| size.to_ne_bytes()));
         let buffer = self
             .device
@@ -326,7 +334,7 @@ fn pipeline(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
     layouts: &[Option<&wgpu::BindGroupLayout>],
-    entry: &'static str,
+    (entry, constants): (&str, &[(&str, f64)]),
     relief: wgpu::TextureFormat,
 ) -> wgpu::RenderPipeline {
     let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -356,7 +364,10 @@ fn pipeline(
         fragment: Some(wgpu::FragmentState {
             module,
             entry_point: Some(entry),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants,
+                ..Default::default()
+            },
             targets: &[target(ALBEDO_FORMAT), target(relief)],
         }),
         multiview_mask: None,

@@ -1,10 +1,14 @@
 // What the patterned surfaces look like, painted once: albedo and hollows in one image, heights in another, then slopes.
 // Lengths are millimetres on the surface.
 
+// See `Pattern` in `visual.rs`.
+override PATTERN: u32 = 5;
+
 struct Paint {
     base_colour: vec3f,
-    // See `Pattern` in `visual.rs`.
-    pattern: u32,
+    // Neighbours of a cell on each side, 1: the compiler does not know it, and a software rasteriser compiles loops that are not unrolled in a
+    // fraction of the time.
+    around: i32,
     // Side of the image, texels and mm.
     size_px: f32,
     size_mm: f32,
@@ -37,25 +41,36 @@ fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
     return vec4f(x, y, 0.0, 1.0);
 }
 
-// Five octaves, mean 0.5.
-fn clouds(p: vec2f, seed: i32) -> f32 {
+// Noise of several octaves, each with half the share of the one before; mean 0.5.
+fn octaves(p: vec2f, seed: i32, count: i32) -> f32 {
     var sum = 0.0;
+    var all = 0.0;
     var q = p;
-    var share = 0.516;
-    for (var octave = 0; octave < 5; octave++) {
+    var share = 1.0;
+    for (var octave = 0; octave < count * paint.around; octave++) {
         sum += share * noise(q, seed + octave);
+        all += share;
         q = vec2f(0.8 * q.x - 0.6 * q.y, 0.6 * q.x + 0.8 * q.y) * 2.03;
         share *= 0.5;
     }
-    return sum;
+    return sum / all;
+}
+
+fn clouds(p: vec2f, seed: i32) -> f32 {
+    return octaves(p, seed, 5);
+}
+
+// The same without what is small.
+fn swell(p: vec2f, seed: i32) -> f32 {
+    return octaves(p, seed, 2);
 }
 
 // Cells about scattered points: distances to the nearest and the second one, and a number of the cell, 0 to 1.
 fn cells(p: vec2f, seed: i32) -> vec3f {
     let home = floor(p);
     var nearest = vec3f(8.0, 8.0, 0.0);
-    for (var dy = -1; dy <= 1; dy++) {
-        for (var dx = -1; dx <= 1; dx++) {
+    for (var dy = -paint.around; dy <= paint.around; dy++) {
+        for (var dx = -paint.around; dx <= paint.around; dx++) {
             let cell = vec2i(home) + vec2i(dx, dy);
             let scatter = vec2f(lattice(vec3i(cell, seed)), lattice(vec3i(cell, seed + 1)));
             let distance = length(vec2f(cell) + 0.1 + 0.8 * scatter - p);
@@ -69,89 +84,116 @@ fn cells(p: vec2f, seed: i32) -> vec3f {
     return nearest;
 }
 
-// How much a thin line along the middle of a field covers `p`: `steep` is about the field's slope.
-fn line(field: f32, width: f32) -> f32 {
-    return 1.0 - smoothstep(0.4 * width, width, abs(field - 0.5));
+// Vessels of one size: the borders of cells of `size` mm, bent, in places; `width` in mm. Their borders fade where the light falls through.
+fn vessel_net(p: vec2f, size: f32, width: f32, seed: i32) -> f32 {
+    let far = size * 0.55;
+    let bend = far * vec2f(swell(p / (1.3 * size), seed) - 0.5, swell(p / (1.3 * size), seed + 7) - 0.5)
+        + 0.16 * size * vec2f(noise(p / (0.24 * size), seed + 14) - 0.5, noise(p / (0.24 * size), seed + 15) - 0.5);
+    let cell = cells((p + 1.35 * bend) / size, seed + 20);
+    let border = 0.5 * size * (cell.y - cell.x);
+    let thick = width * (0.45 + 1.1 * noise(p / (1.7 * size), seed + 30));
+    let here = smoothstep(0.42, 0.66, swell(p / (2.2 * size), seed + 31));
+    return here * (1.0 - smoothstep(0.35 * thick, thick + 0.06, border));
 }
 
-// A tree of vessels: thick and rare, with thinner ones between.
-fn vessels(p: vec2f, seed: i32) -> f32 {
-    let q = p + 5.0 * vec2f(clouds(p / 11.0, seed) - 0.5, clouds(p / 11.0, seed + 20) - 0.5);
-    let trunk = line(noise(q / 26.0, seed + 40), 0.013) * smoothstep(0.35, 0.5, noise(p / 30.0, seed + 41));
-    let branch = line(noise(q / 13.0, seed + 50), 0.018) * smoothstep(0.40, 0.55, noise(p / 17.0, seed + 51));
-    let twig = line(noise(q / 6.0, seed + 60), 0.022) * smoothstep(0.45, 0.65, noise(p / 9.0, seed + 61));
-    return max(trunk, max(0.75 * branch, 0.45 * twig));
+// Light that is taken away by blood in vessels `share` deep.
+fn bled(colour: vec3f, share: f32, deep: f32) -> vec3f {
+    return colour * exp(-share * mix(vec3f(0.55, 2.3, 2.0), vec3f(1.25, 1.9, 1.05), deep));
 }
 
-// Muscle: bundles of fibres along x, pale fascia between them, marbled fat, a few vessels on top.
+// Muscle and the wall of a hollow organ: pink, mottled, with faint fibres under the serosa, and its vessels.
 fn muscle(p: vec2f) -> Look {
-    let wander = vec2f(clouds(p / 26.0, 1) - 0.5, clouds(p / 26.0, 11) - 0.5);
-    let q = vec2f(0.985 * p.x + 0.17 * p.y, -0.17 * p.x + 0.985 * p.y) + vec2f(4.0, 9.0) * wander;
-    let bundle = cells(vec2f(q.x / 34.0, q.y / 3.4), 100);
-    let gap = 1.0 - smoothstep(0.02, 0.20, bundle.y - bundle.x);
-    let strand = noise(vec2f(q.x / 5.0, q.y * 1.5), 120);
-    let fibre = noise(vec2f(q.x / 3.0, q.y * 3.7), 121);
-    let streaks = 0.5 * strand + 0.5 * fibre;
-    let fascia = max(
-        gap * smoothstep(0.30, 0.62, clouds(p / 7.0, 130)),
-        0.8 * smoothstep(0.64, 0.80, clouds(vec2f(q.x / 12.0, q.y / 1.6), 140)),
-    );
-    let vessel = vessels(p, 150);
-    let broad = clouds(p / 22.0, 160) - 0.5;
-    var colour = paint.base_colour * (0.62 + 0.46 * bundle.z + 0.95 * (streaks - 0.5) + 0.9 * broad + 0.15);
-    colour = mix(colour, vec3f(0.58, 0.31, 0.25), 0.48 * fascia);
-    colour = mix(colour, paint.base_colour * vec3f(0.34, 0.22, 0.50), 0.85 * vessel);
-    let round = smoothstep(0.0, 0.55, bundle.y - bundle.x);
-    let height = 0.36 * round + 0.10 * strand + 0.05 * fibre + 0.9 * clouds(p / 16.0, 170) + 0.10 * vessel;
-    let film = 0.26 * round + 0.09 * strand + 1.1 * clouds(p / 16.0, 170) + 0.10 * noise(p / 1.3, 180);
-    return Look(colour, 1.0 - 0.45 * gap * (1.0 - fascia), vec2f(height, film));
+    let wander = vec2f(swell(p / 21.0, 601) - 0.5, swell(p / 21.0, 611) - 0.5);
+    let q = vec2f(0.97 * p.x + 0.24 * p.y, -0.24 * p.x + 0.97 * p.y) + 13.0 * wander;
+    let fibre = clouds(vec2f(q.x / 9.0, q.y / 0.9), 620) - 0.5;
+    let broad = swell(p / 24.0, 630) - 0.5;
+    let blotch = clouds(p / 5.5, 640) - 0.5;
+    let grain = swell(p / 1.1, 650) - 0.5;
+    let pale = smoothstep(0.50, 0.72, clouds(p / 12.0, 660));
+    let veins = vessel_net(p, 27.0, 0.70, 700);
+    let arteries = vessel_net(p + 31.0, 15.0, 0.34, 740);
+    let fine = vessel_net(p + 11.0, 4.2, 0.17, 780);
+    let finest = vessel_net(p + 5.0, 1.9, 0.10, 820);
+    var colour = paint.base_colour * vec3f(1.10, 1.35, 1.25);
+    colour *= 1.0 + 0.55 * broad + 0.26 * blotch + 0.30 * fibre + 0.14 * grain;
+    colour = mix(colour, vec3f(0.50, 0.19, 0.135), 0.34 * pale);
+    colour = bled(colour, 0.50 * veins, 1.0);
+    colour = bled(colour, 0.55 * arteries, 0.0);
+    colour = bled(colour, 0.42 * fine + 0.20 * finest, 0.1);
+    let waves = 2.2 * clouds(p / 21.0, 860) + 0.34 * clouds(p / 5.0, 861);
+    let height = waves + 0.055 * fibre + 0.10 * veins + 0.05 * arteries + 0.03 * grain;
+    let film = waves + 0.16 * noise(p / 2.6, 870) + 0.055 * noise(p / 1.0, 871) + 0.022 * noise(p / 0.45, 872);
+    return Look(colour, 1.0, vec2f(height, film));
 }
 
-// Liver: a smooth dark capsule over faint lobules, a little mottled.
+// Liver: a brown capsule, smooth and tense, lobules hardly seen.
 fn liver(p: vec2f) -> Look {
-    let bent = p + 0.8 * vec2f(noise(p / 2.0, 200) - 0.5, noise(p / 2.0, 201) - 0.5);
-    let lobule = cells(bent / 1.7, 210);
-    let rim = 1.0 - smoothstep(0.0, 0.30, lobule.y - lobule.x);
-    let mottle = clouds(p / 14.0, 220) - 0.5;
-    let grain = clouds(p / 2.2, 230) - 0.5;
-    let vein = vessels(p * 1.1 + 40.0, 240);
-    var colour = paint.base_colour * (1.0 + 1.1 * mottle + 0.5 * grain + 0.35 * (lobule.z - 0.5) + 0.25 * rim);
-    colour = mix(colour, paint.base_colour * vec3f(1.35, 1.8, 1.6), 0.35 * smoothstep(0.10, 0.3, mottle));
-    colour = mix(colour, paint.base_colour * vec3f(0.45, 0.35, 0.60), 0.45 * vein);
-    let waves = 1.8 * clouds(p / 30.0, 250);
-    let height = waves + 0.04 * smoothstep(0.0, 0.6, lobule.y - lobule.x) + 0.03 * grain;
-    let film = waves + 0.42 * noise(p / 6.5, 260) + 0.045 * noise(p / 2.2, 261) + 0.010 * noise(p / 0.8, 262);
-    return Look(colour, 1.0 - 0.12 * rim, vec2f(height, film));
+    let bent = p + 0.9 * vec2f(noise(p / 2.0, 900) - 0.5, noise(p / 2.0, 901) - 0.5);
+    let lobule = cells(bent / 1.25, 910);
+    let rim = 1.0 - smoothstep(0.0, 0.35, lobule.y - lobule.x);
+    let broad = swell(p / 26.0, 920) - 0.5;
+    let mottle = clouds(p / 8.0, 921) - 0.5;
+    let grain = swell(p / 1.4, 930) - 0.5;
+    let veins = vessel_net(p, 23.0, 0.5, 940);
+    let fine = vessel_net(p + 17.0, 5.0, 0.14, 960);
+    var colour = paint.base_colour * vec3f(1.55, 1.75, 1.60);
+    colour *= 1.0 + 0.7 * broad + 0.5 * mottle + 0.24 * grain + 0.18 * (lobule.z - 0.5) + 0.16 * rim;
+    colour = mix(colour, paint.base_colour * vec3f(2.0, 3.6, 2.7), 0.25 * smoothstep(0.05, 0.28, mottle));
+    colour = bled(colour, 0.35 * veins, 0.6);
+    colour = bled(colour, 0.30 * fine, 0.2);
+    let waves = 1.9 * clouds(p / 30.0, 980) + 0.10 * clouds(p / 7.0, 981);
+    let height = waves + 0.012 * smoothstep(0.0, 0.6, lobule.y - lobule.x) + 0.012 * grain;
+    let film = waves + 0.10 * noise(p / 3.4, 990) + 0.030 * noise(p / 1.3, 991) + 0.012 * noise(p / 0.5, 992);
+    return Look(colour, 1.0, vec2f(height, film));
 }
 
-// The lining of a body: pink and red, with yellow fat in places and vessels under it.
+// Fat: soft yellow lobules of several sizes under a shining membrane, and pink between.
 fn fat(p: vec2f) -> Look {
-    let bent = p + 3.0 * vec2f(noise(p / 6.0, 300) - 0.5, noise(p / 6.0, 301) - 0.5);
-    let lobule = cells(bent / 7.0, 310);
-    let crease = 1.0 - smoothstep(0.0, 0.40, lobule.y - lobule.x);
-    let fatty = smoothstep(0.46, 0.66, clouds(p / 30.0, 320));
-    let vessel = vessels(p, 340);
-    let broad = clouds(p / 12.0, 330) - 0.5;
-    var colour = vec3f(0.34, 0.075, 0.055) * (1.0 + 1.2 * broad);
-    colour = mix(colour, paint.base_colour * (0.8 + 0.3 * lobule.z + 0.4 * broad - 0.35 * crease), fatty);
-    colour = mix(colour, vec3f(0.16, 0.012, 0.02), 0.7 * vessel);
-    let round = fatty * sqrt(clamp(lobule.y - lobule.x, 0.0, 1.0));
-    let height = 0.9 * round + 5.0 * clouds(p / 30.0, 350);
-    return Look(colour, 1.0 - 0.35 * crease * fatty, vec2f(height, height + 0.10 * noise(p / 2.2, 360)));
+    let bent = p + 3.4 * vec2f(swell(p / 7.0, 1000) - 0.5, swell(p / 7.0, 1001) - 0.5);
+    let large = cells(bent / 7.5, 1010);
+    let small = cells(bent / 2.4, 1020);
+    let fatty = smoothstep(0.38, 0.60, clouds(p / 33.0, 1030));
+    let broad = swell(p / 15.0, 1040) - 0.5;
+    let crease = 1.0 - smoothstep(0.0, 0.45, large.y - large.x);
+    let veins = vessel_net(p, 21.0, 0.7, 1050);
+    let fine = vessel_net(p + 9.0, 6.0, 0.2, 1070);
+    var colour = vec3f(0.42, 0.125, 0.095) * (1.0 + 0.9 * broad);
+    let lobules = paint.base_colour * vec3f(1.05, 1.12, 1.25) * (0.95 + 0.10 * small.z + 0.10 * large.z + 0.5 * broad - 0.10 * crease);
+    colour = mix(colour, lobules, fatty);
+    colour = bled(colour, 0.6 * veins, 0.7);
+    colour = bled(colour, 0.45 * fine, 0.1);
+    let round = fatty * (0.55 * smoothstep(0.0, 0.9, large.y - large.x) + 0.16 * smoothstep(0.0, 0.8, small.y - small.x));
+    let height = round + 4.0 * clouds(p / 33.0, 1090);
+    return Look(colour, 1.0 - 0.10 * crease * fatty, vec2f(height, height + 0.07 * noise(p / 1.6, 1095)));
 }
 
-// Skin and the silicone that stands for it: fine creases, pores, a faint flush.
-fn skin(p: vec2f) -> Look {
-    let crease = cells(p / vec2f(1.5, 1.1) + 0.6 * noise(p / 2.0, 400), 410);
-    let fine = cells(p / 0.7, 420);
-    let furrow = 1.0 - smoothstep(0.0, 0.25, crease.y - crease.x);
-    let pore = 1.0 - smoothstep(0.05, 0.28, fine.x);
-    let flush = clouds(p / 19.0, 430) - 0.5;
-    let speck = clouds(p / 1.7, 440) - 0.5;
-    var colour = paint.base_colour * (1.0 + 0.28 * speck - 0.10 * furrow - 0.10 * pore);
-    colour *= vec3f(1.0) + flush * vec3f(0.25, 0.6, 0.6);
-    let height = 0.040 * smoothstep(0.0, 0.4, crease.y - crease.x) - 0.018 * pore + 0.5 * clouds(p / 15.0, 450);
-    return Look(colour, 1.0 - 0.15 * furrow, vec2f(height, height));
+// Silicone cast to look like skin: even, matt, a little dusty.
+fn pad(p: vec2f) -> Look {
+    let broad = swell(p / 30.0, 1100) - 0.5;
+    let speck = swell(p / 0.7, 1110) - 0.5;
+    let dent = clouds(p / 3.0, 1120) - 0.5;
+    var colour = paint.base_colour * vec3f(1.12, 1.16, 1.2) * (1.0 + 0.10 * broad + 0.06 * speck);
+    let height = 0.05 * dent + 0.012 * speck;
+    return Look(colour, 1.0, vec2f(height, height));
+}
+
+// A sheet of peritoneum: pale, with the vessels that run in it and a little fat along them.
+fn membrane(p: vec2f) -> Look {
+    let veins = vessel_net(p + 3.0, 25.0, 0.55, 1200);
+    let arteries = vessel_net(p + 23.0, 13.0, 0.28, 1220);
+    let fine = vessel_net(p + 13.0, 4.6, 0.13, 1240);
+    let broad = swell(p / 17.0, 1260) - 0.5;
+    let blotch = clouds(p / 3.6, 1270) - 0.5;
+    let fatty = smoothstep(0.55, 0.75, clouds(p / 8.0, 1280));
+    var colour = paint.base_colour * vec3f(0.86, 0.62, 0.60) * (1.0 + 0.5 * broad + 0.24 * blotch);
+    colour = mix(colour, vec3f(0.58, 0.33, 0.15), 0.26 * fatty);
+    colour = bled(colour, 0.45 * veins, 0.8);
+    colour = bled(colour, 0.42 * arteries, 0.0);
+    colour = bled(colour, 0.28 * fine, 0.1);
+    let waves = 1.1 * clouds(p / 9.0, 1290) + 0.20 * fatty;
+    let height = waves + 0.12 * veins + 0.05 * arteries + 0.05 * blotch;
+    let film = waves + 0.08 * noise(p / 1.8, 1295) + 0.03 * noise(p / 0.7, 1296);
+    return Look(colour, 1.0, vec2f(height, film));
 }
 
 // A surgical drape: plain weave in soft folds.
@@ -173,11 +215,12 @@ fn cloth(p: vec2f) -> Look {
 fn look(@builtin(position) at: vec4f) -> Painted {
     let p = (at.xy / paint.size_px - 0.5) * paint.size_mm;
     var found: Look;
-    switch paint.pattern {
+    switch PATTERN {
         case 1u: { found = muscle(p); }
         case 2u: { found = liver(p); }
         case 3u: { found = fat(p); }
-        case 4u, 6u: { found = skin(p); }
+        case 4u: { found = pad(p); }
+        case 6u: { found = membrane(p); }
         default: { found = cloth(p); }
     }
     return Painted(vec4f(clamp(found.colour, vec3f(0.0), vec3f(1.0)), found.open), vec4f(found.height, 0.0, 0.0));

@@ -100,10 +100,12 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     // Red light travels further under the surface and comes out beyond the terminator, and into shadows.
     var wrap = s.flesh * vec3f(0.34, 0.09, 0.06);
     var n_l_of = vec3f(n_l);
-    if FINE {
-        wrap += s.flesh * s.through * vec3f(0.30, 0.05, 0.03);
+    if FULL {
         // Relief that is smaller than the way of the light under the surface does not shade it: red least of all.
         n_l_of = mix(n_l_of, vec3f(dot(s.mesh_normal, l)), s.flesh * vec3f(0.75, 0.40, 0.25));
+    }
+    if FINE {
+        wrap += s.flesh * s.through * vec3f(0.30, 0.05, 0.03);
     }
     let diffuse = albedo * max((n_l_of + wrap) / ((vec3f(1.0) + wrap) * (vec3f(1.0) + wrap)), vec3f(0.0));
     let facing = 0.5 + 0.5 * dot(s.normal, frame.up);

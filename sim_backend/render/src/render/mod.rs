@@ -30,7 +30,7 @@ pub use error::RenderError;
 pub use optics::Optics;
 
 use crate::visual::{Backdrop, Visual};
-use bake::Paints;
+use bake::{BACKDROP_SIZE_M, PATTERN_SIZE_M, Paints};
 use gpu::Gpu;
 use lens::LensPass;
 use pipelines::{Pipelines, SHADOW_MAP_PX};
@@ -70,9 +70,9 @@ pub enum Shading {
     /// Shadows, surroundings mirrored in metal and fluid, relief.
     #[default]
     Full,
-    /// For pictures that people look at: edges smoothed over the pixel, tissue with vessels under a wet membrane, into which light
-    /// seeps and through which it comes where it is thin, hollows that the light from all around does not reach (both baked by rays
-    /// when it is chosen first). A software rasteriser takes more than twice as long.
+    /// For pictures that people look at: edges smoothed over the pixel, a film that is rougher where it is thin, light that comes
+    /// through thin tissue, hollows that the light from all around does not reach (both baked by rays when it is chosen first). A
+    /// software rasteriser takes more than twice as long.
     Fine,
     /// Painted colours in the same light without any of these, for about half the cost.
     Plain,
@@ -95,7 +95,6 @@ pub struct Renderer {
     lens_pass: Option<LensPass>,
     backdrop: Backdrop,
     backdrop_layer: f32,
-    paints: Paints,
     shading: Shading,
 }
 
@@ -122,9 +121,11 @@ impl Renderer {
     ) -> Result<Self, RenderError> {
         let _turn = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
         let gpu = Gpu::open()?;
-        let things = visuals.iter().map(|visual| &visual.material);
-        let materials = things.chain([&backdrop.material]);
-        let paints = Paints::new(&gpu.device, &gpu.queue, materials, shading);
+        let things = visuals
+            .iter()
+            .map(|visual| (&visual.material, PATTERN_SIZE_M));
+        let materials = things.chain([(&backdrop.material, BACKDROP_SIZE_M)]);
+        let paints = Paints::new(&gpu.device, &gpu.queue, materials);
         let mut scene = Scene::upload(&gpu.device, visuals, &paints)?;
         if shading == Shading::Fine {
             scene.bake(&gpu.queue);
@@ -140,8 +141,7 @@ impl Renderer {
             stations: Stations::default(),
             lens_pass: None,
             backdrop: *backdrop,
-            backdrop_layer: paints.layer(&backdrop.material),
-            paints,
+            backdrop_layer: paints.layer(&backdrop.material, BACKDROP_SIZE_M),
             shading,
         })
     }
@@ -157,7 +157,6 @@ impl Renderer {
         if self.shading != shading {
             self.shading = shading;
             let Gpu { device, queue, .. } = &self.gpu;
-            self.paints.set_shading(device, queue, shading);
             if shading == Shading::Fine {
                 self.scene.bake(queue);
             }

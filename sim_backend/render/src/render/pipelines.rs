@@ -1,6 +1,6 @@
 //! The passes: shadow map from the light, then ids and range, then colour from the camera.
 
-use super::bake::{PATTERN_SIZE_M, Paints};
+use super::bake::{BACKDROP_SIZE_M, PATTERN_SIZE_M, Paints};
 use super::records::{self, Records};
 use super::scene::{BAKED_BYTES, Scene, UNROLLED_BYTES, VERTEX_BYTES};
 use super::targets::{FAR, colour_samples, depth_attachment};
@@ -276,6 +276,7 @@ fn colour_pipeline(
         ("FULL", f64::from(u8::from(full))),
         ("FINE", f64::from(u8::from(shading == Shading::Fine))),
         ("PATTERN_SIZE_M", f64::from(PATTERN_SIZE_M)),
+        ("BACKDROP_SIZE_M", f64::from(BACKDROP_SIZE_M)),
     ];
     let behind = vertex == BACKDROP;
     let compilation_options = wgpu::PipelineCompilationOptions {

@@ -7,6 +7,8 @@ override FULL: bool = true;
 override FINE: bool = false;
 // Side of the image that a pattern is painted in, m.
 override PATTERN_SIZE_M: f32 = 0.18;
+// The same of what is behind everything.
+override BACKDROP_SIZE_M: f32 = 0.36;
 
 struct Frame {
     clip_from_camera: mat4x4f,

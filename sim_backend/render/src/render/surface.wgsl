@@ -108,7 +108,7 @@ const CAVITY: vec3f = vec3f(0.26, 0.24, 0.20);
 const CAVITY_MIDDLE: f32 = 0.03;
 
 // Levels by which it is out of focus.
-const BLUR: f32 = 1.5;
+const BLUR: f32 = 0.75;
 
 // What is behind everything: a floor, and a wall around it that is the far side of an ellipsoid.
 @fragment
@@ -127,7 +127,7 @@ fn backdrop_fragment(in: Behind) -> @location(0) vec4f {
     let hit = eye + distance * d;
     let outward = (hit - vec3f(0.0, 0.0, CAVITY_MIDDLE)) / (CAVITY * CAVITY);
     let n = select(-normalize(outward), vec3f(0.0, 0.0, 1.0), on_floor);
-    let at = (hit.xy - n.xy * (hit.z - frame.floor)) / PATTERN_SIZE_M + 0.5;
+    let at = (hit.xy - n.xy * (hit.z - frame.floor)) / BACKDROP_SIZE_M + 0.5;
     let layer = i32(frame.backdrop_layer);
     let painted = textureSampleBias(albedo_map, pattern_sampler, at, layer, BLUR);
     var bumped = n;

@@ -38,13 +38,13 @@ pub(super) const KIND: Kind = Kind {
     parse,
 };
 
-/// Skin without blood.
-const SKIN: Material = Material {
-    base_colour: [0.52, 0.25, 0.18],
+/// A sheet of peritoneum, moist.
+const SHEET: Material = Material {
+    base_colour: [0.50, 0.19, 0.135],
     metallic: 0.0,
     roughness: 0.5,
-    wetness: 0.35,
-    detail: 0.35,
+    wetness: 0.6,
+    detail: 0.6,
     pattern: Pattern::Membrane,
 };
 /// How many visuals show what the flap lies on without a patient.
@@ -204,7 +204,7 @@ impl TaskScene for TissueRetraction {
         let mark = Patch::new(&flap, [0.0; 2], self.mark_radius_m);
         let (mut visuals, skin) = match &self.patient {
             Some(patient) => (patient.visuals_in_scene(), patient.material()),
-            None => (self.made_up(), SKIN),
+            None => (self.made_up(), SHEET),
         };
         visuals.extend([
             Visual::new("flap", flap.mesh().clone(), skin, instance::TISSUE),
