@@ -82,6 +82,12 @@ fn picture(page: &mut Page, camera: u8) -> Vec<u8> {
     }
 }
 
+/// How many visuals, cameras and bent shapes a message of the scene has.
+fn counts(places: &[u8]) -> [u32; 3] {
+    let count = |at: usize| places[at..at + 4].try_into().map(u32::from_le_bytes);
+    [16, 20, 24].map(|at| count(at).unwrap())
+}
+
 fn shows_a_camera(page: &mut Page, camera: u8) {
     let picture = picture(page, camera);
     assert_eq!(picture[1], 0, "in colour");
@@ -178,9 +184,9 @@ fn looks_as_the_world_did(log: &Path) {
     assert!(!state["task"].as_str().unwrap().is_empty(), "{state}");
 }
 
-/// A robot has cameras, which are those that were asked for, and neither scene nor criteria.
+/// A robot has cameras, which are those that were asked for, and no criteria; its instrument is seen where it is measured, with limits and cameras.
 #[test]
-fn a_page_sees_the_cameras_of_a_robot() {
+fn a_page_sees_arm_and_cameras_of_a_robot() {
     let _turn = tests::alone();
     let simulator = Simulator::start("console-robot");
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
@@ -195,13 +201,16 @@ fn a_page_sees_the_cameras_of_a_robot() {
     ];
     let mut served = simulator.run("console-robot", "random", &what);
     let mut page = Page::open(&served);
-    let facts = page.wait_for("facts", |_| true);
-    assert_eq!(
-        (&facts["cameras"], &facts["scene"]),
-        (&json!(["endoscope"]), &json!(false))
-    );
-    page.say(&json!({ "show": [[0, "colour"]] }));
+    // The scene comes with the first measurement.
+    let facts = page.wait_for("facts", |facts| facts["scene"] == true);
+    assert_eq!(facts["cameras"], json!(["endoscope"]));
+    let scene = has_in_its_scene(&served, &["left finger", "shaft", "psm1", "endoscope"]);
+    assert!(scene.contains("\"region\"") && !scene.contains("needle"));
+    page.say(&json!({ "show": [[0, "colour"], [SCENE, "colour"]] }));
     shows_a_camera(&mut page, 0);
+    let first = picture(&mut page, SCENE);
+    assert_eq!(counts(&first), [4, 1, 0], "visuals, cameras, bent shapes");
+    while picture(&mut page, SCENE)[28..] == first[28..] {}
     let state = page.wait_for_state("ENABLED");
     assert!(state["criteria"].is_null(), "{state}");
     assert!(page.command("stop").0);
@@ -220,7 +229,7 @@ fn shows_its_arm(log: &Path) {
         (&facts["scene"], &facts["cameras"], &facts["depth"]),
         (&json!(true), &json!(["endoscope"]), &json!([]))
     );
-    let scene = has_in_its_scene(&served, &["left finger", "shaft", "psm1"]);
+    let scene = has_in_its_scene(&served, &["left finger", "shaft", "psm1", "endoscope"]);
     assert!(scene.contains("\"region\"") && !scene.contains("needle"));
     page.say(&json!({ "show": [[SCENE, "colour"]] }));
     page.say(&json!({ "at": 0.0 }));

@@ -190,7 +190,8 @@ impl LogView {
             return Ok(Some(image));
         }
         if stream == Stream::SCENE {
-            return self.scene.places(at.tick());
+            let lenses = self.images.lenses(at);
+            return self.scene.places(at.tick(), &lenses);
         }
         match self.facts.cameras.get(usize::from(stream.camera)) {
             Some(name) => self.scene.picture(name, stream, at.tick()),
@@ -433,14 +434,10 @@ impl Recomputed {
             scenes,
             buses,
         } = seen;
-        let (scene, problem) = LogScene::new(header, scenes, &config.arms);
-        let mut facts = Facts::new(
-            title,
-            &header.policy,
-            header.seed,
-            &config,
-            images.cameras(),
-        );
+        let names = images.cameras();
+        let at_first = (names.as_slice(), &images.lenses(TimeNs(0)));
+        let (scene, problem) = LogScene::new(header, scenes, &config.arms, at_first);
+        let mut facts = Facts::new(title, &header.policy, header.seed, &config, names);
         facts = facts.drawn(scene.cameras());
         if let Some(seconds) = scene.time_limit_s() {
             facts = facts.within_s(seconds);

@@ -82,6 +82,8 @@ export class Scene {
   /** Where everything is now. */
   places(buffer, seconds) {
     const { visuals, cameras, bent } = parsePlaces(buffer);
+    // Of the file that is on its way.
+    if (visuals.length > this.#nodes.length || cameras.length !== this.#cameras.length) return;
     visuals.forEach((pose, index) => (this.#nodes[index].pose = pose));
     cameras.forEach((pose, index) => (this.#cameras[index].pose = pose));
     for (const { index, positions, normals } of bent) {
