@@ -153,7 +153,8 @@ impl Live {
             let bases = &self.facts.rcms_in_scene;
             paths(chunks, sample.record.now, bases, &self.board.lenses())
         });
-        let state = state.by_hand(self.hands.status()).on_buses(self.buses());
+        let state = state.by_hand(self.hands.status());
+        let state = state.of_which(self.hands.said()).on_buses(self.buses());
         Some(state.towards(paths.unwrap_or_default()).json())
     }
 

@@ -573,6 +573,7 @@ impl Recomputed {
         facts.outcome = end.outcome.as_ref().map(|outcome| EndFacts {
             success: outcome.success.filter(|_| !header.task.is_empty()),
             reason: outcome.reason.clone(),
+            said: (!outcome.said.is_empty()).then(|| outcome.said.to_string()),
         });
         LogView {
             facts,

@@ -144,6 +144,10 @@ pub(super) fn show_rig<S: Arms>(
         listener.show(taps.view);
     }
     port.tap = Some(taps.control);
+    // Nothing judges a robot's run but a person.
+    if task.is_none() && plan.log.is_some() {
+        console.hands().ask_for_mark();
+    }
     let arms = &plan.setup.robot().control.arms;
     let scene = || ArmsScene::new(console, arms, &cameras);
     RigPages {

@@ -307,6 +307,7 @@ fn run_robot<L: ArmLink>(
         let robot_thread = RobotThread::new(seen, local, reports, cameras, (asked, supervised));
         let robot_thread = robot_thread.moved_by(by_hand);
         let robot_thread = robot_thread.shown_on(pages.cameras).shown_in(pages.arms);
+        let robot_thread = robot_thread.marked_at(plan.console.as_ref());
         let robot_thread = robot_thread.woken_by(node.events()?);
         Ok(|| robot_thread.run())
     })

@@ -14,10 +14,12 @@ use super::super::shown::CameraPages;
 use super::super::signals::EndRunOnDrop;
 use super::sight::{CameraMonitor, Rules};
 use super::{ArmsScene, RobotOptions};
+use crate::console::Console;
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
 use crate::session::source::{ChunkSource, Query, STEP_NS};
+use crate::session::teleop::Hands;
 use hal::PerArm;
 
 /// Polling period for the measured arms, which wake nobody, ns; a frame does.
@@ -46,6 +48,8 @@ pub(in super::super) struct RobotThread {
     events: Option<Events>,
     /// Pages that are shown frames.
     pages: Option<CameraPages>,
+    /// Where a person says how the run goes.
+    marked_by: Option<Arc<Hands>>,
     /// Pages that are shown the instruments.
     scene: Option<ArmsScene>,
 }
@@ -112,6 +116,7 @@ impl RobotThread {
             past: Past::default(),
             events: None,
             pages: None,
+            marked_by: None,
             scene: None,
         }
     }
@@ -137,6 +142,12 @@ impl RobotThread {
         Self { scene, ..self }
     }
 
+    /// The same thread, which tells the log how a person at `console` marks the run.
+    pub(in super::super) fn marked_at(self, console: Option<&Console>) -> Self {
+        let marked_by = console.map(Console::hands);
+        Self { marked_by, ..self }
+    }
+
     /// Runs until the control thread has stopped; ends the run when the time is up or a camera that the policy needs is gone.
     pub(in super::super) fn run(mut self) -> Result<RobotEnd, SessionError> {
         let signals = Arc::clone(&self.seen.signals);
@@ -149,7 +160,7 @@ impl RobotThread {
         let (mut first, mut observed): (_, Option<(TimeNs, u64)>) = (None, None);
         self.sight.begin(self.seen.clock.now());
         while !signals.stopped() {
-            self.seen.tell();
+            self.tell();
             let now = self.seen.clock.now();
             if let Some(states) = self.seen.measured.take() {
                 self.past.add(states.first.stamp, states);
@@ -203,7 +214,7 @@ impl RobotThread {
                 None => rt::sleep_ns(POLL_NS),
             }
         }
-        self.seen.tell();
+        self.tell();
         Ok(end)
     }
 
@@ -249,6 +260,20 @@ impl RobotThread {
             }
         }
         Ok(taken)
+    }
+
+    /// Writes into the log what has happened, and how the run is marked.
+    fn tell(&mut self) {
+        let marked = self.marked_by.as_ref().and_then(|hands| hands.take_mark());
+        if let Some(mark) = marked {
+            let text = match mark {
+                Some(mark) => format!("the operator marks the run: {}", mark.name()),
+                None => "the operator takes the mark of the run back".to_owned(),
+            };
+            let now = self.seen.clock.now();
+            self.seen.signals.tell(now, Level::Info, &text);
+        }
+        self.seen.tell();
     }
 
     /// Shows pages where the arms are; a scene that can't be shown ends with a word, the run goes on.
