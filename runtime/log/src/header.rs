@@ -1,9 +1,11 @@
 //! What a log says about its run as a whole: how it was set up, and how it ended.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use hal::Pose;
 use hal::config::Source;
+use serde::{Deserialize, Serialize};
 use trocar_control::ControlConfig;
 
 use super::contents::ContentHash;
@@ -53,6 +55,68 @@ pub struct RunOutcome {
     pub reason: String,
     /// Hash over the bits of every command, as the run reported it.
     pub command_hash: String,
+    /// What a person said of it.
+    pub said: RunNote,
+}
+
+/// What a person says of a run that no task judges.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct RunNote {
+    /// How it went, if they say so.
+    pub mark: Option<RunMark>,
+    /// What they call it; empty if they don't.
+    pub label: String,
+}
+
+/// How a person says that a run went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RunMark {
+    /// What was to be done is done.
+    Success,
+    /// It is not done.
+    Failure,
+    /// It is neither: the run is of no use.
+    Discard,
+}
+
+impl RunMark {
+    /// As pages and logs have it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Success => "success",
+            Self::Failure => "failure",
+            Self::Discard => "discard",
+        }
+    }
+
+    /// The mark of that name.
+    fn named(name: &str) -> Option<Self> {
+        let all = [Self::Success, Self::Failure, Self::Discard];
+        all.into_iter().find(|mark| mark.name() == name)
+    }
+}
+
+impl fmt::Display for RunNote {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.mark {
+            Some(mark) => write!(f, "marked {}", mark.name())?,
+            None => f.write_str("not marked")?,
+        }
+        match self.label.as_str() {
+            "" => Ok(()),
+            label => write!(f, ", label {label:?}"),
+        }
+    }
+}
+
+impl RunNote {
+    /// Whether nothing was said.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.mark.is_none() && self.label.is_empty()
+    }
 }
 
 /// What the logger wrote and what it had to leave out.
@@ -212,6 +276,8 @@ pub(super) fn contents_after(before: &ContentHash, map: &Map) -> String {
 /// Further keys of the closing record.
 const INPUT_HASH: &str = "input_hash";
 const GOES_ON: &str = "goes_on";
+const MARK: &str = "mark";
+const LABEL: &str = "label";
 const CONTENTS: &str = "contents_sha256";
 
 impl Closing {
@@ -234,6 +300,12 @@ impl Closing {
             }
             map.insert("reason".to_owned(), outcome.reason.clone());
             map.insert("command_hash".to_owned(), outcome.command_hash.clone());
+            if let Some(mark) = outcome.said.mark {
+                map.insert(MARK.to_owned(), mark.name().to_owned());
+            }
+            if !outcome.said.label.is_empty() {
+                map.insert(LABEL.to_owned(), outcome.said.label.clone());
+            }
         }
         map
     }
@@ -268,6 +340,10 @@ impl Closing {
                 success: map.get("success").map(|success| success == "true"),
                 reason: reason.clone(),
                 command_hash: map.get("command_hash")?.clone(),
+                said: RunNote {
+                    mark: map.get(MARK).and_then(|name| RunMark::named(name)),
+                    label: map.get(LABEL).cloned().unwrap_or_default(),
+                },
             }),
         };
         let input_hash = u64::from_str_radix(map.get(INPUT_HASH)?, 16).ok()?;

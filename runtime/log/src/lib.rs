@@ -40,7 +40,7 @@ mod tests;
 pub use buses::{BusRecord, BusesRecord};
 pub use drain::OnFailure;
 pub use error::LogError;
-pub use header::{LogCounts, RunHeader, RunOutcome};
+pub use header::{LogCounts, RunHeader, RunMark, RunNote, RunOutcome};
 pub use level::Level;
 pub use read::{Loss, RunLog, read_steps};
 pub use record::{ArmRecord, LoggedArm, LoggedTick, TickRecord, TickTiming};

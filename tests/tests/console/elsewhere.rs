@@ -7,6 +7,8 @@ use std::process::{Child, Stdio};
 use serde_json::{Value, json};
 use tests::{repository, scratch, trocar};
 
+use crate::browser::{SCENE as SCENE_SEEN, looks_right};
+use crate::devtools::Browser;
 use crate::intervention::{changes, driver};
 use crate::page::Page;
 use crate::run::{SLOW_MOTION, Served, verified};
@@ -80,6 +82,12 @@ fn picture(page: &mut Page, camera: u8) -> Vec<u8> {
             return picture;
         }
     }
+}
+
+/// How many visuals, cameras and bent shapes a message of the scene has.
+fn counts(places: &[u8]) -> [u32; 3] {
+    let count = |at: usize| places[at..at + 4].try_into().map(u32::from_le_bytes);
+    [16, 20, 24].map(|at| count(at).unwrap())
 }
 
 fn shows_a_camera(page: &mut Page, camera: u8) {
@@ -178,9 +186,9 @@ fn looks_as_the_world_did(log: &Path) {
     assert!(!state["task"].as_str().unwrap().is_empty(), "{state}");
 }
 
-/// A robot has cameras, which are those that were asked for, and neither scene nor criteria.
+/// A robot has cameras, which are those that were asked for, and no criteria; its instrument is seen where it is measured, with limits and cameras.
 #[test]
-fn a_page_sees_the_cameras_of_a_robot() {
+fn a_page_sees_arm_and_cameras_of_a_robot() {
     let _turn = tests::alone();
     let simulator = Simulator::start("console-robot");
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
@@ -195,20 +203,73 @@ fn a_page_sees_the_cameras_of_a_robot() {
     ];
     let mut served = simulator.run("console-robot", "random", &what);
     let mut page = Page::open(&served);
-    let facts = page.wait_for("facts", |_| true);
-    assert_eq!(
-        (&facts["cameras"], &facts["scene"]),
-        (&json!(["endoscope"]), &json!(false))
-    );
-    page.say(&json!({ "show": [[0, "colour"]] }));
+    // The scene comes with the first measurement.
+    let facts = page.wait_for("facts", |facts| facts["scene"] == true);
+    assert_eq!(facts["cameras"], json!(["endoscope"]));
+    let scene = has_in_its_scene(&served, &["left finger", "shaft", "psm1", "endoscope"]);
+    assert!(scene.contains("\"region\"") && !scene.contains("needle"));
+    page.say(&json!({ "show": [[0, "colour"], [SCENE, "colour"]] }));
     shows_a_camera(&mut page, 0);
+    let first = picture(&mut page, SCENE);
+    assert_eq!(counts(&first), [4, 1, 0], "visuals, cameras, bent shapes");
+    while picture(&mut page, SCENE)[28..] == first[28..] {}
     let state = page.wait_for_state("ENABLED");
     assert!(state["criteria"].is_null(), "{state}");
+    marks_the_run(&mut page);
     assert!(page.command("stop").0);
-    page.wait_for("end", |_| true);
+    let end = page.wait_for("end", |_| true);
+    let said = end["reason"].as_str().unwrap();
+    assert!(
+        said.contains("; marked discard, label \"camera fell\"; log: "),
+        "{said}"
+    );
     served.code();
+    let said = &tests::json(&served.folder.join("result.json"))["said"];
+    assert_eq!(said, &json!({ "mark": "discard", "label": "camera fell" }));
     replays(&log);
     shows_its_arm(&log);
+    is_discarded(&log);
+}
+
+/// A person says how the run went, and otherwise a moment later; only the page that steers may.
+fn marks_the_run(page: &mut Page) {
+    page.say(&json!({ "mark": "success" }));
+    let problem = page.wait_for("problem", |_| true);
+    assert!(
+        problem["text"].as_str().unwrap().contains("take control"),
+        "{problem}"
+    );
+    page.say(&json!({ "steer": true }));
+    page.wait_for("seat", |seat| seat["steers"] == true);
+    let marked = |mark: &Value| {
+        let mark = mark.clone();
+        move |state: &Value| state["said"]["mark"] == mark
+    };
+    page.wait_for("state", marked(&Value::Null));
+    for mark in [json!("success"), Value::Null, json!("discard")] {
+        page.say(&json!({ "mark": mark }));
+        page.wait_for("state", marked(&mark));
+    }
+    page.say(&json!({ "label": "camera fell" }));
+    page.wait_for("state", |state| state["said"]["label"] == "camera fell");
+}
+
+/// No dataset is made of a run that its operator discarded, which is said in words.
+fn is_discarded(log: &Path) {
+    let out = scratch("console-robot-dataset").join("data");
+    let mut command = trocar();
+    command
+        .args(["import", "log"])
+        .arg(log)
+        .args(["--task", "lift", "--failures", "--out"]);
+    let output = command.arg(&out).output().unwrap();
+    let said = tests::stderr(&output);
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(
+        said.contains("the operator has discarded all of the 1 runs"),
+        "{said}"
+    );
+    assert_eq!(out.read_dir().map_or(0, Iterator::count), 0, "it is empty");
 }
 
 /// The page on a robot's log has its instrument where it was measured, with the limits, and neither a needle nor criteria.
@@ -220,7 +281,7 @@ fn shows_its_arm(log: &Path) {
         (&facts["scene"], &facts["cameras"], &facts["depth"]),
         (&json!(true), &json!(["endoscope"]), &json!([]))
     );
-    let scene = has_in_its_scene(&served, &["left finger", "shaft", "psm1"]);
+    let scene = has_in_its_scene(&served, &["left finger", "shaft", "psm1", "endoscope"]);
     assert!(scene.contains("\"region\"") && !scene.contains("needle"));
     page.say(&json!({ "show": [[SCENE, "colour"]] }));
     page.say(&json!({ "at": 0.0 }));
@@ -236,6 +297,69 @@ fn shows_its_arm(log: &Path) {
     page.say(&json!({ "at": facts["seconds"] }));
     let state = page.wait_for("state", |_| true);
     assert!(state["criteria"].is_null() && state["task"].is_null());
+    let (end, events) = (&facts["outcome"], facts["events"].as_array().unwrap());
+    assert_eq!(end["said"], "marked discard, label \"camera fell\"");
+    let told = |text: &str| {
+        events
+            .iter()
+            .any(|event| event["text"].as_str().unwrap().contains(text))
+    };
+    for text in [
+        "the operator marks the run: success",
+        "the operator takes the mark of the run back",
+        "the operator marks the run: discard",
+        "; marked discard, label \"camera fell\"",
+    ] {
+        assert!(told(text), "{text}: {events:?}");
+    }
+}
+
+/// The page of a robot in Chromium: its instrument is drawn and moves, and the run is marked by keys.
+#[test]
+#[ignore = "needs chromium: `make test-console` runs it"]
+fn the_page_shows_and_marks_the_run_of_a_robot() {
+    let simulator = Simulator::start("console-robot-browser");
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let log = scratch("console-robot-browser-log").join("run.mcap");
+    let what = [
+        "--safety",
+        safety.to_str().unwrap(),
+        "--cameras",
+        "endoscope",
+    ];
+    let what = [&what[..], &["--log", log.to_str().unwrap()]].concat();
+    let mut served = simulator.run("console-robot-browser", "random", &what);
+    let mut browser = Browser::open("console-robot-browser-profile", &served.url());
+    browser.look(1280, "light");
+    let stamp = "Number(document.querySelector('#scene-view').dataset.seconds)";
+    browser.wait_until(&format!("{stamp} > 0"));
+    let (before, seen) = (
+        browser.evaluate(stamp).as_f64().unwrap(),
+        browser.evaluate(SCENE_SEEN),
+    );
+    browser.wait_until(&format!("{stamp} > {before} + 1"));
+    browser.wait_until(&format!("({SCENE_SEEN})[1] !== {}", seen[1]));
+    assert!(seen[0].as_u64() > Some(100), "{seen}");
+    let mark = "document.querySelector('[data-mark][aria-pressed=true]')?.dataset.mark ?? ''";
+    browser.wait_until("!document.querySelector('[data-mark]').disabled");
+    for (key, expected) in [
+        ("y", "success"),
+        ("z", "failure"),
+        ("z", ""),
+        ("x", "discard"),
+        ("y", "success"),
+    ] {
+        browser.press(key);
+        browser.wait_until(&format!("({mark}) === '{expected}'"));
+    }
+    browser.evaluate("(() => { const label = document.querySelector('#mark-label'); label.value = 'third try'; label.dispatchEvent(new Event('input')); })()");
+    looks_right(&mut browser, "robot");
+    browser.press("s");
+    browser.wait_until("document.querySelector('#banner').textContent.includes('marked success, label \"third try\"')");
+    browser
+        .wait_until("document.querySelector('#banner').textContent.includes('trocar import log')");
+    assert_eq!(browser.errors, Vec::<String>::new());
+    served.code();
 }
 
 /// The hand is taken, and rises: so does the tip, which did not jump before.

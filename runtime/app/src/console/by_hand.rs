@@ -31,6 +31,7 @@ pub(super) fn heard(
         Request::HandBack(true) => hands.hand_back()?,
         Request::Episode(wish) => hands.wish(wish)?,
         Request::Label(text) => hands.set_label(text)?,
+        Request::Mark(mark) => hands.mark(mark)?,
         Request::Shown((_, seconds)) => {
             if let Some(age_ns) = shared.board.age_ns(seconds) {
                 hands.seen(age_ns);

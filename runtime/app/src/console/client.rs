@@ -245,7 +245,8 @@ impl Page {
             | Request::Align(_)
             | Request::HandBack(_)
             | Request::Episode(_)
-            | Request::Label(_) => {
+            | Request::Label(_)
+            | Request::Mark(_) => {
                 if let Err(problem) = by_hand::heard(&self.shared, &self.seat, request) {
                     let text = &problem.to_string();
                     return answer(socket, &ServerMessage::Problem { text }).await;

@@ -144,6 +144,9 @@ pub(super) struct EventFacts {
 pub(super) struct EndFacts {
     pub(super) success: Option<bool>,
     pub(super) reason: String,
+    /// What a person said of it, in words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) said: Option<String>,
 }
 
 impl Facts {

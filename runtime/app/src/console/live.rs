@@ -1,6 +1,7 @@
 //! A run in real time as pages see it.
 
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::facts::Facts;
@@ -25,6 +26,8 @@ use trocar_topics::TaskReport;
 #[derive(Debug)]
 pub(super) struct Live {
     facts: Facts,
+    /// Whether it has a scene that the facts do not know of.
+    scene: AtomicBool,
     samples: Mutex<Newest>,
     clock: MonotonicClock,
     /// Where the run listens for its operator, if it does.
@@ -66,6 +69,7 @@ impl Live {
         Self {
             buses: Mutex::new(Buses::named(facts.buses.0.iter())),
             facts,
+            scene: AtomicBool::new(false),
             samples: Mutex::new(Newest {
                 said,
                 newest: None,
@@ -120,7 +124,15 @@ impl Live {
         newest.map_or(TimeNs(0), |(sample, _)| sample.record.now)
     }
 
+    /// From now on it has a scene.
+    pub(super) fn has_scene(&self) {
+        self.scene.store(true, Ordering::Relaxed);
+    }
+
     pub(super) fn facts(&self) -> String {
+        if self.scene.load(Ordering::Relaxed) {
+            return self.facts.clone().with_scene().json();
+        }
         self.facts.json()
     }
 
@@ -141,7 +153,8 @@ impl Live {
             let bases = &self.facts.rcms_in_scene;
             paths(chunks, sample.record.now, bases, &self.board.lenses())
         });
-        let state = state.by_hand(self.hands.status()).on_buses(self.buses());
+        let state = state.by_hand(self.hands.status());
+        let state = state.of_which(self.hands.said()).on_buses(self.buses());
         Some(state.towards(paths.unwrap_or_default()).json())
     }
 

@@ -17,6 +17,7 @@ use trocar_tasks::task::{TaskConfig, Variation, View};
 use super::log_view::States;
 use super::path::Lenses;
 use super::pictures::{Drawn, Pixels, Plane, Stream};
+use super::scene::is_placed;
 use super::{encode, scene};
 use crate::session::{SessionError, scene_record};
 
@@ -29,6 +30,8 @@ pub(super) struct LogScene {
     is_whole: bool,
     /// By the tick of their time: messages that say where everything was, or else joints and jaw of each arm, as they were measured.
     records: States,
+    /// The places, among the cameras of the log, of those that the scene of a robot has.
+    seen_by: Vec<u8>,
     drawing: Mutex<Drawing>,
 }
 
@@ -62,12 +65,13 @@ impl fmt::Debug for LogScene {
 }
 
 impl LogScene {
-    /// That of the run of `header` with `arms` and these messages of its scene; also why its task can't be made here, in words, if it can't, say since
-    /// its patient is elsewhere: then the arms are seen alone.
+    /// That of the run of `header` with `arms`, these messages of its scene and the cameras of these names, as each is at first; also why its task
+    /// can't be made here, in words, if it can't, say since its patient is elsewhere: then the arms are seen alone, with cameras that say where they are.
     pub(super) fn new(
         header: &RunHeader,
         messages: States,
         arms: &[ArmConfig],
+        (names, lenses): (&[String], &Lenses),
     ) -> (Self, Option<String>) {
         let text = header.text("scene.toml");
         let made = text.map(|text| task(header, text)).transpose();
@@ -78,6 +82,14 @@ impl LogScene {
             Some(task) => SceneModel::at_rest(task, header.seed),
             None => SceneModel::of_arms(arms.len()),
         };
+        let lenses = lenses.iter().filter(|_| task.is_none());
+        let placed = lenses.filter(|(_, (lens, pose))| is_placed(lens, pose));
+        let placed = placed.filter_map(|(place, view)| {
+            let name = names.get(usize::from(*place))?.clone();
+            Some((*place, (name, view.0, view.1)))
+        });
+        let (seen_by, cameras): (Vec<u8>, Vec<_>) = placed.unzip();
+        let model = model.seen_by(cameras);
         let drawing = Mutex::new(Drawing {
             model,
             cameras: Cameras::Unopened,
@@ -92,6 +104,7 @@ impl LogScene {
             } else {
                 States::default()
             },
+            seen_by,
             drawing,
         };
         (scene, problem)
@@ -136,15 +149,22 @@ impl LogScene {
         scene::file(&self.drawing().model, &start, &self.arms).ok()
     }
 
-    /// Where everything is at `tick`, as pages are told.
+    /// Where everything is at `tick`, as pages are told; the cameras of a robot are where `lenses` have them.
     ///
     /// # Errors
     /// If an arm that carries a camera is not there.
-    pub(super) fn places(&self, tick: u64) -> Result<Option<Bytes>, SessionError> {
+    pub(super) fn places(&self, tick: u64, lenses: &Lenses) -> Result<Option<Bytes>, SessionError> {
         let Some((tick, snapshot)) = self.snapshot(tick) else {
             return Ok(None);
         };
         let model = &mut self.drawing().model;
+        for (index, place) in self.seen_by.iter().enumerate() {
+            if let Some((lens, pose)) = lenses.get(place)
+                && is_placed(lens, pose)
+            {
+                model.move_camera(index, pose);
+            }
+        }
         let message = scene::message(model, &snapshot, TimeNs::from_tick(tick))?;
         Ok(Some(message.into()))
     }
@@ -269,7 +289,7 @@ fn task(header: &RunHeader, text: &str) -> Result<TaskConfig, String> {
 
 #[cfg(test)]
 mod tests {
-    use hal::{ArmError, ArmState, JointVector, PerArm, Pose};
+    use hal::{ArmError, ArmState, Intrinsics, JointVector, PerArm, Pose};
     use trocar_control::TickInput;
     use trocar_control::kinematics::forward;
     use trocar_log::TickTiming;
@@ -280,6 +300,9 @@ mod tests {
     use crate::session::{PolicyChoice, Setup};
 
     const SEED: u64 = 5;
+
+    /// Of a log without images.
+    const NO_CAMERAS: (&[String], &Lenses) = (&[], &Lenses::new());
 
     fn setup(task: &str) -> Setup {
         Setup::load(task, None, &PolicyChoice::Noop).unwrap()
@@ -330,7 +353,7 @@ mod tests {
                 let (scenes, records) = steps(&task);
                 let header = header(&setup, &task);
                 let arms = &setup.robot.control.arms;
-                let (scene, problem) = LogScene::new(&header, records, arms);
+                let (scene, problem) = LogScene::new(&header, records, arms, NO_CAMERAS);
                 assert_eq!(problem, None);
                 let mut model = SceneModel::new(&task, SEED);
                 let file = scene::file(&model, &scenes[0], arms).unwrap();
@@ -339,7 +362,8 @@ mod tests {
                     let at = TimeNs::from_tick(40 * step);
                     let now = &scenes[usize::try_from(step).unwrap()];
                     let told = scene::message(&mut model, now, at).unwrap();
-                    assert!(scene.places(tick).unwrap() == Some(told.into()), "{tick}");
+                    let places = scene.places(tick, &Lenses::new()).unwrap();
+                    assert!(places == Some(told.into()), "{tick}");
                     assert_eq!(scene.tick(tick), Some(40 * step));
                 }
                 let names = ["elsewhere".to_owned(), scene.cameras().remove(0)];
@@ -358,7 +382,8 @@ mod tests {
         let setup = setup("needle-lift");
         let (scenes, records) = steps(&setup.task);
         let header = header(&setup, &setup.task);
-        let (scene, _) = LogScene::new(&header, records, &setup.robot.control.arms);
+        let arms = &setup.robot.control.arms;
+        let (scene, _) = LogScene::new(&header, records, arms, NO_CAMERAS);
         let mut cameras = SceneCameras::new(&setup.task).unwrap();
         cameras.begin_episode(&setup.task, SEED);
         let mut frame = cameras.blank_frame(0).unwrap();
@@ -404,9 +429,8 @@ mod tests {
 
     /// The arms that `scene` tells of `tick`: the poses of what is drawn but for cameras.
     fn told(scene: &LogScene, tick: u64) -> Vec<Pose> {
-        scene::places(&scene.places(tick).unwrap().unwrap())
-            .unwrap()
-            .0
+        let places = scene.places(tick, &Lenses::new()).unwrap();
+        scene::places(&places.unwrap()).unwrap().0
     }
 
     /// Without a simulation that says more, the instruments are where the arms were measured, with what of the task does not move, and with the limits.
@@ -421,7 +445,8 @@ mod tests {
             let ticks = [(0, start), (40, end)].map(|(tick, at)| measured(&setup, tick, at));
             let of_task = header(&setup, &setup.task);
             for (header, own) in [(of_task, 1), (RunHeader::default(), 0)] {
-                let (mut scene, problem) = LogScene::new(&header, States::default(), arms);
+                let (mut scene, problem) =
+                    LogScene::new(&header, States::default(), arms, NO_CAMERAS);
                 assert_eq!((problem, scene.tick(0), scene.file()), (None, None, None));
                 ticks.iter().for_each(|tick| scene.measure(tick));
                 let file = String::from_utf8_lossy(&scene.file().unwrap()).into_owned();
@@ -449,6 +474,42 @@ mod tests {
         }
     }
 
+    /// The scene of a robot has those of its cameras that say where they are, where they are then.
+    #[test]
+    fn cameras_of_a_robot_are_where_they_say() {
+        let setup = setup("needle-lift");
+        let lens = Intrinsics::from_vertical_fov(64, 48, 1.0);
+        let there = |x: f64| (lens, Pose::translation(x, 0.0, 0.2));
+        let at_first = Lenses::from([
+            (0, (lens, Pose::identity())),
+            (1, (Intrinsics::default(), Pose::translation(0.1, 0.0, 0.2))),
+            (2, there(0.3)),
+            (3, there(f64::NAN)),
+        ]);
+        let names = ["origin", "lensless", "room", "lost"].map(str::to_owned);
+        let arms = &setup.robot.control.arms;
+        let (mut scene, _) = LogScene::new(
+            &RunHeader::default(),
+            States::default(),
+            arms,
+            (&names, &at_first),
+        );
+        scene.measure(&measured(&setup, 0, JointVector::zeros()));
+        let file = String::from_utf8_lossy(&scene.file().unwrap()).into_owned();
+        let has = |name: &String| file.contains(&format!("\"name\":\"{name}\""));
+        assert_eq!(
+            [0, 1, 2, 3].map(|it| has(&names[it])),
+            [false, false, true, false]
+        );
+        for lenses in [at_first, Lenses::from([(2, there(0.4))]), Lenses::new()] {
+            let places = scene.places(0, &lenses).unwrap().unwrap();
+            let (_, cameras) = scene::places(&places).unwrap();
+            let x = lenses.get(&2).map_or(0.4, |(_, pose)| pose.translation.x);
+            assert_eq!(cameras.len(), 1);
+            assert!((cameras[0].translation.x - x).abs() < 1e-6, "{x}");
+        }
+    }
+
     /// A task that can't be made here leaves the arms; a measurement that is lost, where they were before.
     #[test]
     fn arms_are_seen_where_their_task_is_unknown() {
@@ -458,7 +519,8 @@ mod tests {
             needle: Some("N9".to_owned()),
             ..header(&setup, &setup.task)
         };
-        let (mut scene, problem) = LogScene::new(&elsewhere, steps(&setup.task).1, arms);
+        let (mut scene, problem) =
+            LogScene::new(&elsewhere, steps(&setup.task).1, arms, NO_CAMERAS);
         assert!(problem.is_some_and(|problem| problem.contains("N9")));
         let joints = JointVector::new(0.1, -0.1, 0.12, 0.2, 0.3, -0.1);
         let mut tick = measured(&setup, 0, joints);

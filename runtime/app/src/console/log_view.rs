@@ -189,7 +189,8 @@ impl LogView {
             return Ok(Some(image));
         }
         if stream == Stream::SCENE {
-            return self.scene.places(at.tick());
+            let lenses = self.images.lenses(at);
+            return self.scene.places(at.tick(), &lenses);
         }
         match self.facts.cameras.get(usize::from(stream.camera)) {
             Some(name) => self.scene.picture(name, stream, at.tick()),
@@ -432,14 +433,10 @@ impl Recomputed {
             scenes,
             buses,
         } = seen;
-        let (scene, problem) = LogScene::new(header, scenes, &config.arms);
-        let mut facts = Facts::new(
-            title,
-            &header.policy,
-            header.seed,
-            &config,
-            images.cameras(),
-        );
+        let names = images.cameras();
+        let at_first = (names.as_slice(), &images.lenses(TimeNs(0)));
+        let (scene, problem) = LogScene::new(header, scenes, &config.arms, at_first);
+        let mut facts = Facts::new(title, &header.policy, header.seed, &config, names);
         facts = facts.drawn(scene.cameras());
         if let Some(seconds) = scene.time_limit_s() {
             facts = facts.within_s(seconds);
@@ -579,6 +576,7 @@ impl Recomputed {
         facts.outcome = end.outcome.as_ref().map(|outcome| EndFacts {
             success: outcome.success.filter(|_| !header.task.is_empty()),
             reason: outcome.reason.clone(),
+            said: (!outcome.said.is_empty()).then(|| outcome.said.to_string()),
         });
         LogView {
             facts,

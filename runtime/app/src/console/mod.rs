@@ -61,7 +61,7 @@ pub use doors::ListenAddresses;
 pub use facts::Facts;
 pub(crate) use facts::PictureFacts;
 pub(crate) use pictures::{BETWEEN_NS, FramePlanes, FrameTap};
-pub(crate) use scene::SceneTap;
+pub(crate) use scene::{SceneTap, is_placed, of_arms};
 pub use tap::ControlTap;
 
 use crate::mailbox::{MailboxWriter, mailbox};
@@ -317,6 +317,21 @@ impl Console {
             self.shared.show_shapes(scene::Shapes::new(&model, &bent));
         }
         Ok(SceneTap::new(model, Arc::clone(&self.shared.board)))
+    }
+
+    /// Shows the scene of `model` in the run that is shown, which had none until now.
+    ///
+    /// # Errors
+    /// Those of [`Self::show_scene`].
+    pub(crate) fn add_scene(
+        &self,
+        model: SceneModel,
+        start: &SceneSnapshot,
+        arms: &[ArmConfig],
+    ) -> Result<SceneTap, SessionError> {
+        let tap = self.show_scene(model, start, arms)?;
+        self.shared.tell_scene();
+        Ok(tap)
     }
 
     /// From now on the pictures' time is by `clock`, of a run in real time.

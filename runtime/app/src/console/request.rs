@@ -6,6 +6,7 @@ use serde::Deserialize;
 use super::pictures::Stream;
 use crate::session::operator::Command;
 use crate::session::teleop::{EpisodeCommand, HandsMessage};
+use trocar_log::RunMark;
 
 /// Bytes that a message may have.
 pub(super) const MESSAGE_BYTES_MAX: usize = 1024;
@@ -42,7 +43,9 @@ pub(super) enum Request {
     HandBack(bool),
     /// What is to become of the demonstration.
     Episode(EpisodeCommand),
-    /// What the demonstration under way is called in the dataset; nothing takes its label away.
+    /// How the run went, or that this is not said any more.
+    Mark(Option<RunMark>),
+    /// What the demonstration under way, or the run that asks for a mark, is called; nothing takes its label away.
     Label(String),
     /// Where in a log, or an episode of a dataset, to look, s from its beginning.
     At(f64),
@@ -100,6 +103,7 @@ impl Request {
             | Self::HandBack(_)
             | Self::Episode(_)
             | Self::Label(_)
+            | Self::Mark(_)
             | Self::At(_)
             | Self::Open(_) => Ok(request),
         }
@@ -174,6 +178,11 @@ mod tests {
             (r#"{"at":1.5}"#, Request::At(1.5)),
             (r#"{"open":12}"#, Request::Open(12)),
             (r#"{"shown":[2,7.25]}"#, Request::Shown((2, 7.25))),
+            (r#"{"mark":null}"#, Request::Mark(None)),
+            (
+                r#"{"mark":"discard"}"#,
+                Request::Mark(Some(RunMark::Discard)),
+            ),
         ] {
             assert_eq!(Request::parse(text), Ok(expected), "{text}");
         }
@@ -190,6 +199,8 @@ mod tests {
             r#"{"open":-1}"#,
             r#"{"open":1.5}"#,
             r#"{"shown":[0,-1]}"#,
+            r#"{"mark":"good"}"#,
+            r#"{"mark":1}"#,
             r#"{"shown":[256,1]}"#,
             r#"{"show":[[256,"colour"]]}"#,
             r#"{"show":[[0,"raw"]]}"#,

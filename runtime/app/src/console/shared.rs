@@ -89,6 +89,14 @@ impl Shared {
         self.facts.send_replace(facts.into());
     }
 
+    /// Tells of the run that is shown, which has a scene from now on.
+    pub(super) fn tell_scene(&self) {
+        if let Some(live) = self.live() {
+            live.has_scene();
+            self.show_run(live);
+        }
+    }
+
     /// From now on pages see a log.
     pub(super) fn show_log(&self, log: LogView) {
         let facts = log.facts();

@@ -4,7 +4,7 @@ use hal::{ARM_NAMES, ArmCommand, ArmState, TimeNs};
 use serde::Serialize;
 use trocar_control::motion::AXES;
 use trocar_control::{GateDecision, QpOutcome};
-use trocar_log::{ArmRecord, BusRecord, CriterionRecord, TaskRecord};
+use trocar_log::{ArmRecord, BusRecord, CriterionRecord, RunNote, TaskRecord};
 
 use super::facts::Facts;
 use super::path::Path;
@@ -32,6 +32,9 @@ pub(super) struct State {
     /// Present if an operator's hands move the arms.
     #[serde(skip_serializing_if = "Option::is_none")]
     teleop: Option<TeleopStatus>,
+    /// Present if a person may say how the run went: what they say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    said: Option<RunNote>,
     /// The buses of arms on CAN.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     buses: Vec<BusRecord>,
@@ -142,6 +145,7 @@ impl State {
             task: missing,
             criteria: criteria.unwrap_or_default(),
             teleop: None,
+            said: None,
             buses: Vec::new(),
             paths: Vec::new(),
             arms,
@@ -151,6 +155,12 @@ impl State {
     /// The same with what the operator's hands do.
     pub(super) fn by_hand(mut self, teleop: Option<TeleopStatus>) -> Self {
         self.teleop = teleop;
+        self
+    }
+
+    /// The same with what a person says of the run.
+    pub(super) fn of_which(mut self, said: Option<RunNote>) -> Self {
+        self.said = said;
         self
     }
 

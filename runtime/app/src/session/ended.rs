@@ -1,7 +1,7 @@
 //! How a run ended, in its log and in its result.
 
 use hal::TimeNs;
-use trocar_log::{Level, LogCounts, LogError, Recorder, RunOutcome};
+use trocar_log::{Level, LogCounts, LogError, Recorder, RunNote, RunOutcome};
 use trocar_tasks::task::Outcome;
 
 use super::episode::EpisodeEnd;
@@ -41,6 +41,7 @@ impl Ended {
             success: self.success,
             reason: self.reason.clone(),
             command_hash: tally.command_hash(),
+            said: RunNote::default(),
         }
     }
 

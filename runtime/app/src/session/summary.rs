@@ -5,6 +5,7 @@ use core::fmt;
 use hal::TimeNs;
 use serde::Serialize;
 use trocar_control::MeasuredClearance;
+use trocar_log::RunNote;
 use trocar_tasks::task::{Outcome, PatientPlacement, Variation};
 use trocar_world::tissue::TissueExtremes;
 
@@ -270,6 +271,9 @@ pub struct RunSummary {
     pub success: Option<bool>,
     /// Why the run ended.
     pub reason: String,
+    /// What a person said of it; absent if nothing.
+    #[serde(skip_serializing_if = "RunNote::is_empty")]
+    pub said: RunNote,
     /// Simulated or real time that passed, s.
     pub seconds: f64,
     /// Control periods.

@@ -157,6 +157,7 @@ impl Tally {
             seed: plan.seed,
             success: ended.success,
             reason: ended.reason.clone(),
+            said: plan.said(),
             seconds: scaled((self.ticks + skipped) * hal::TICK_NS, 1e-9),
             ticks: self.ticks,
             command_hash: self.command_hash(),

@@ -4,7 +4,8 @@ use hal::{ArmCommand, ArmError, ArmState, Chunk, JointVector, TimeNs, TipTarget}
 
 use super::Scratch;
 use crate::{
-    ArmRecord, Level, LoggedTick, Pressure, Recorder, RunHeader, RunOutcome, TickRecord, TickTiming,
+    ArmRecord, Level, LoggedTick, Pressure, Recorder, RunHeader, RunMark, RunNote, RunOutcome,
+    TickRecord, TickTiming,
 };
 use hal::PerArm;
 use trocar_control::{Fault, Mode, OperatingState, OperatorEvent, QpOutcome, TickReport};
@@ -149,6 +150,10 @@ pub(super) fn outcome() -> RunOutcome {
         success: Some(true),
         reason: "success".to_owned(),
         command_hash: "0123456789abcdef".to_owned(),
+        said: RunNote {
+            mark: Some(RunMark::Discard),
+            label: "Nadel, \"schräg\"".to_owned(),
+        },
     }
 }
 

@@ -1,6 +1,7 @@
 //! A task's scene for whoever draws it without a renderer of ours: shapes, and where they and the cameras are at an instant.
 
 use hal::{Intrinsics, Mesh, Pose};
+use trocar_render::Optics;
 use trocar_render::visual::{Visual, VisualPoses, instance};
 
 use super::View;
@@ -81,6 +82,32 @@ impl SceneModel {
             visuals: arms_visuals(count),
             flap: None,
             views: Vec::new(),
+        }
+    }
+
+    /// The same with these cameras too, which no task has: name, lens, and where it is in the scene.
+    #[must_use]
+    pub fn seen_by(
+        mut self,
+        cameras: impl IntoIterator<Item = (String, Intrinsics, Pose)>,
+    ) -> Self {
+        let views = cameras.into_iter();
+        let views = views.map(|(name, intrinsics, camera_in_scene)| View {
+            name,
+            intrinsics,
+            camera_in_mount: camera_in_scene,
+            carrier: None,
+            optics: Optics::CLEAN,
+        });
+        self.views.extend(views);
+        self
+    }
+
+    /// From now on the camera of this index is there; one that an arm carries goes with it as before.
+    pub fn move_camera(&mut self, camera: usize, camera_in_scene: &Pose) {
+        let view = self.views.get_mut(camera);
+        if let Some(view) = view.filter(|view| view.carrier.is_none()) {
+            view.camera_in_mount = *camera_in_scene;
         }
     }
 
@@ -185,5 +212,48 @@ mod tests {
             assert_eq!(alone.visuals().len(), 4 * task.arms.len());
             assert_eq!(alone.cameras().count(), 0);
         }
+    }
+
+    /// A camera of no task is where it says; one that an arm carries stays on it.
+    #[test]
+    fn cameras_of_no_task_are_where_they_say() {
+        let lens = Intrinsics::from_vertical_fov(64, 48, 1.0);
+        let mut there = Pose::translation(0.1, 0.0, 0.2);
+        let named = [("endoscope", Pose::identity()), ("room", there)];
+        let named = named.map(|(name, pose)| (name.to_owned(), lens, pose));
+        let mut alone = SceneModel::of_arms(1).seen_by(named);
+        let nothing = SceneSnapshot {
+            moment_ms: 0,
+            things: [Pose::identity(); THINGS_MAX],
+            goal: Pose::identity(),
+            arms: [None; hal::ARMS_MAX],
+            flap: None,
+        };
+        assert_eq!(alone.cameras().last(), Some(("room", lens)));
+        assert_eq!(alone.camera_poses(&nothing).unwrap()[1], there);
+        there = Pose::translation(0.0, 0.3, 0.0);
+        alone.move_camera(1, &there);
+        alone.move_camera(2, &there);
+        let poses = alone.camera_poses(&nothing).unwrap();
+        assert_eq!(poses, [Pose::identity(), there]);
+        let task = TaskConfig::names().map(|name| TaskConfig::built_in(name).unwrap());
+        let mut carried = 0;
+        for task in task {
+            let whole = Simulation::new(&task, 3, Rendering::Off)
+                .unwrap()
+                .snapshot();
+            let mut model = SceneModel::new(&task, 3);
+            let before = model.camera_poses(&whole).unwrap();
+            for camera in 0..before.len() {
+                model.move_camera(camera, &there);
+            }
+            let moved = model.camera_poses(&whole).unwrap();
+            for ((view, before), moved) in model.views.iter().zip(&before).zip(&moved) {
+                let stays = view.carrier.is_some();
+                carried += usize::from(stays);
+                assert_eq!(moved, if stays { before } else { &there }, "{}", view.name);
+            }
+        }
+        assert!(carried > 0);
     }
 }

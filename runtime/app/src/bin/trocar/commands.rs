@@ -27,7 +27,7 @@ use crate::args::{
 use crate::black_box;
 use crate::console;
 use crate::drives::can_source;
-use crate::run_report::{nearest, report_run};
+use crate::run_report::{import_hint, last_words, nearest, report_run};
 use crate::scene_args::Inputs;
 
 pub(crate) type Done = Result<bool, SessionError>;
@@ -158,12 +158,15 @@ pub(crate) fn run(args: &RunArgs) -> Done {
     };
     if let Some(page) = &page {
         match &result {
-            Ok(result) => page.close(result.summary.success, &result.summary.reason),
+            Ok(result) => page.close(result.summary.success, &last_words(args, &result.summary)),
             Err(error) => page.close(Some(false), &error.to_string()),
         }
     }
     let result = result?;
     report_run(&result.summary);
+    if let Some(hint) = import_hint(args, &result.summary) {
+        console::result(&format!("  {hint}"));
+    }
     if let Some(path) = &args.json {
         write_json(path, &result.summary)?;
     }

@@ -38,7 +38,8 @@ pub(crate) struct ImportLogArgs {
     /// ffmpeg 5.1 or newer, here and where the dataset is read.
     #[arg(long, value_enum, value_name = "CODEC")]
     video: Option<Video>,
-    /// Take runs whose task was not done, or in which an arm had a fault, too. A robot's runs have no verdict and are taken but for faults.
+    /// Take runs whose task was not done, that their operator marked as failures, or in which an arm had a fault, too. A robot's runs without a mark
+    /// are taken but for faults; one that was discarded is never taken.
     #[arg(long)]
     failures: bool,
     /// Write what was imported as JSON, to standard output if it is `-`; parent folders are made.
@@ -84,12 +85,20 @@ pub(crate) fn import_log(args: &ImportLogArgs) -> Done {
         0 => String::new(),
         count => format!("; {count} failed and left out"),
     };
+    let discarded = match summary.discarded.as_slice() {
+        [] => String::new(),
+        logs => {
+            let logs = logs.iter().map(|log| log.display().to_string());
+            let logs = logs.collect::<Vec<_>>().join(", ");
+            format!("; discarded by the operator and left out: {logs}")
+        }
+    };
     let by_hand = match summary.by_hand {
         0 => String::new(),
         count => format!("; an operator drove in {count}"),
     };
     console::result(&format!(
-        "{} episodes, {} frames in {}{by_hand}{left_out}",
+        "{} episodes, {} frames in {}{by_hand}{left_out}{discarded}",
         summary.episodes,
         summary.frames,
         args.out.display()

@@ -3,7 +3,9 @@
 use trocar::session::summary::{CanArmSummary, CanBusSummary, RealTimeCounts, RunSummary};
 use trocar::session::teleop::TeleopSummary;
 use trocar_control::MeasuredClearance;
+use trocar_log::RunMark;
 
+use crate::args::RunArgs;
 use crate::console;
 
 /// Says how a run went, on the terminal.
@@ -13,7 +15,12 @@ pub(crate) fn report_run(summary: &RunSummary) {
         Some(false) => format!("{}: failure ({})", summary.task, summary.reason),
         None => summary.reason.clone(),
     };
-    console::result(&format!("{verdict} after {:.2} s", summary.seconds));
+    let said = if summary.said.is_empty() {
+        String::new()
+    } else {
+        format!("; {}", summary.said)
+    };
+    console::result(&format!("{verdict} after {:.2} s{said}", summary.seconds));
     console::result(&format!(
         "  controller tick: p50 {:.1} us, p99 {:.1} us, max {:.1} us over {} ticks",
         summary.tick_us.p50, summary.tick_us.p99, summary.tick_us.max, summary.ticks
@@ -41,6 +48,28 @@ pub(crate) fn report_run(summary: &RunSummary) {
         report_can(arm);
     }
     console::result(&format!("  command hash: {}", summary.command_hash));
+}
+
+/// What the pages of a run are told last.
+pub(crate) fn last_words(args: &RunArgs, summary: &RunSummary) -> String {
+    let said = Some(summary.said.to_string()).filter(|_| !summary.said.is_empty());
+    let words = [
+        Some(summary.reason.clone()),
+        said,
+        import_hint(args, summary),
+    ];
+    words.into_iter().flatten().collect::<Vec<_>>().join("; ")
+}
+
+/// Where the log of a robot's run is that was asked for, and what makes a dataset of it; only the first of a log that makes none.
+pub(crate) fn import_hint(args: &RunArgs, summary: &RunSummary) -> Option<String> {
+    let log = args.log.as_ref().filter(|_| args.task.is_none())?.display();
+    let is_whole = args.log_max_mb.is_none() && summary.said.mark != Some(RunMark::Discard);
+    Some(if is_whole {
+        format!("log: {log}; `trocar import log {log} --task TEXT --out DIR` makes a dataset of it")
+    } else {
+        format!("log: {log}")
+    })
 }
 
 fn report_can(arm: &CanArmSummary) {

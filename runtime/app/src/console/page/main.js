@@ -60,6 +60,7 @@ const heard = {
   state(state) {
     panels.state(state);
     operator.setSpeed(state.speed_percent);
+    operator.said(state.said);
     teleop.state(state.teleop);
     drives.buses(state.buses ?? []);
     showPaths(state.paths ?? []);

@@ -8,6 +8,7 @@ export class Operator {
   #taken = false;
   #open = false;
   #dragging = false;
+  #mark = null;
 
   constructor(send) {
     this.#send = send;
@@ -22,6 +23,16 @@ export class Operator {
     this.speed.onchange = () => {
       this.#dragging = false;
       this.command(`speed ${this.speed.value}`);
+    };
+    this.marks = [...document.querySelectorAll("button[data-mark]")];
+    // The mark that is set is taken back.
+    for (const button of this.marks) {
+      button.onclick = () => this.#send({ mark: button.dataset.mark === this.#mark ? null : button.dataset.mark });
+    }
+    this.label = byId("mark-label");
+    this.label.oninput = () => this.#send({ label: this.label.value });
+    this.label.onkeydown = ({ key }) => {
+      if (key === "Enter" || key === "Escape") this.label.blur();
     };
     document.addEventListener("keydown", (event) => this.#key(event));
     this.#show();
@@ -67,12 +78,24 @@ export class Operator {
     byId("speed-out").textContent = `${percent} %`;
   }
 
+  /** What is said of a run that nothing judges; nothing of one that does not ask. */
+  said(said) {
+    byId("mark").hidden = !said;
+    if (!said) return;
+    this.#mark = said.mark;
+    for (const button of this.marks) button.setAttribute("aria-pressed", String(button.dataset.mark === said.mark));
+    const marked = said.mark ? `Marked ${said.mark}; Stop run ends the run.` : "How does the run go? The log keeps the last mark.";
+    const state = byId("mark-state");
+    if (state.textContent !== marked) state.textContent = marked;
+    if (document.activeElement !== this.label && this.label.value !== said.label) this.label.value = said.label;
+  }
+
   #show() {
     const able = this.#open && this.#steers;
     // Pause and stop bring the arms to rest: any page may.
     const rests = ({ dataset }) => dataset.command === "pause" || dataset.command === "stop";
     for (const button of this.buttons) button.disabled = rests(button) ? !this.#open : !able;
-    this.speed.disabled = !able;
+    for (const control of [this.speed, this.label, ...this.marks]) control.disabled = !able;
     const steer = byId("steer");
     steer.disabled = !this.#open || (this.#taken && !this.#steers);
     steer.firstChild.textContent = this.#steers ? "Let go " : "Take control ";
@@ -95,7 +118,7 @@ export class Operator {
     }
     const key = event.key.toLowerCase();
     const button = document.querySelector(`#steering button[data-key="${CSS.escape(key)}"]`);
-    if (button && !button.disabled) {
+    if (button && !button.disabled && !button.closest("[hidden]")) {
       event.preventDefault();
       button.click();
     }

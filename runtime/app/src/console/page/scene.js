@@ -18,7 +18,9 @@ export class Scene {
   #nodes = [];
   #cameras = [];
   #paths = [];
+  #home = HOME;
   #eye = structuredClone(HOME);
+  #turned = false;
   #asked = false;
   #rests = false;
   #want;
@@ -39,8 +41,8 @@ export class Scene {
       this.#want();
     };
     byId("scene-home").onclick = () => {
-      this.#eye = structuredClone(HOME);
-      this.draw();
+      this.#turned = false;
+      this.#goHome();
     };
     this.#steer();
     new ResizeObserver(() => this.draw()).observe(this.canvas);
@@ -82,6 +84,8 @@ export class Scene {
   /** Where everything is now. */
   places(buffer, seconds) {
     const { visuals, cameras, bent } = parsePlaces(buffer);
+    // Of the file that is on its way.
+    if (visuals.length > this.#nodes.length || cameras.length !== this.#cameras.length) return;
     visuals.forEach((pose, index) => (this.#nodes[index].pose = pose));
     cameras.forEach((pose, index) => (this.#cameras[index].pose = pose));
     for (const { index, positions, normals } of bent) {
@@ -119,6 +123,8 @@ export class Scene {
       this.#far?.drawing.set(nodes);
       this.#cameras = nodes.filter((node) => node.kind === "camera");
       this.problem.hidden = true;
+      this.#home = home(nodes);
+      if (!this.#turned) this.#goHome();
     } catch (error) {
       this.problem.textContent = error.message;
       this.problem.hidden = false;
@@ -200,18 +206,26 @@ export class Scene {
     };
   }
 
+  #goHome() {
+    this.#eye = structuredClone(this.#home);
+    this.draw();
+  }
+
   #turn(turn, tilt) {
+    this.#turned = true;
     this.#eye.turn += turn;
     this.#eye.tilt = Math.min(1.5, Math.max(-1.5, this.#eye.tilt + tilt));
     this.draw();
   }
 
   #zoom(factor) {
+    this.#turned = true;
     this.#eye.distance = Math.min(1.5, Math.max(0.03, this.#eye.distance * factor));
     this.draw();
   }
 
   #pan(dx, dy) {
+    this.#turned = true;
     const { turn, tilt, distance } = this.#eye;
     const step = (0.73 * distance) / this.canvas.clientHeight;
     const right = [-Math.sin(turn), Math.cos(turn), 0];
@@ -219,6 +233,20 @@ export class Scene {
     this.#eye.centre = this.#eye.centre.map((value, axis) => value + step * (dy * up[axis] - dx * right[axis]));
     this.draw();
   }
+}
+
+/** Where the eye looks at first. A robot may have its scene frame anywhere: then it looks at the middle of the workspaces. */
+function home(nodes) {
+  const ranges = (positions) => [0, 1, 2].map((axis) => {
+    const along = positions.filter((_, index) => index % 3 === axis);
+    return [Math.min(...along), Math.max(...along)];
+  });
+  const spaces = nodes.filter(({ kind }) => kind === "workspace").map(({ mesh }) => ranges([...mesh.positions]));
+  const holds = (space) => space.every(([low, high], axis) => low <= HOME.centre[axis] && HOME.centre[axis] <= high);
+  if (spaces.length === 0 || spaces.some(holds)) return HOME;
+  const all = [0, 1, 2].map((axis) => [Math.min(...spaces.map((space) => space[axis][0])), Math.max(...spaces.map((space) => space[axis][1]))]);
+  const across = Math.hypot(...all.map(([low, high]) => high - low));
+  return { ...HOME, centre: all.map(([low, high]) => (low + high) / 2), distance: Math.min(1.5, Math.max(HOME.distance, 1.5 * across)) };
 }
 
 /** A line through points as the ends of its pieces. */

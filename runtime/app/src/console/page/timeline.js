@@ -31,7 +31,7 @@ export class Timeline {
     if (!facts.log || facts.episodes) return;
     const { outcome } = facts;
     const verdict = outcome ? (outcome.success === true ? "success" : outcome.success === false ? "failure" : "end") : "no end in the log";
-    this.show(facts, `${verdict}${outcome?.reason && outcome.reason !== verdict ? ` (${outcome.reason})` : ""}`);
+    this.show(facts, `${verdict}${outcome?.reason && outcome.reason !== verdict ? ` (${outcome.reason})` : ""}${outcome?.said ? `; ${outcome.said}` : ""}`);
   }
 
   /** Goes through so many `seconds` in which these `events` were, a frame at a time if there are `fps`; `ended` says how. */

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use axum::body::Bytes;
 use hal::count::count_u32;
-use hal::{ARMS_MAX, JOINT_COUNT, JointVector, Mesh, Pose, TimeNs};
+use hal::{ARMS_MAX, Intrinsics, JOINT_COUNT, JointVector, Mesh, Pose, TimeNs};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use trocar_control::config::ArmConfig;
 use trocar_control::motion::AXES;
@@ -46,7 +46,7 @@ pub(super) fn file(
 }
 
 /// The scene with arms alone: of each where its remote centre is in the scene, and its joints with the jaw, rad (insertion m).
-pub(super) fn of_arms(arms: impl Iterator<Item = (Pose, [f64; AXES])>) -> SceneSnapshot {
+pub(crate) fn of_arms(arms: impl Iterator<Item = (Pose, [f64; AXES])>) -> SceneSnapshot {
     let mut bodies = [None; ARMS_MAX];
     for (body, (base, axes)) in bodies.iter_mut().zip(arms) {
         let (joints, jaw) = axes.split_at(JOINT_COUNT);
@@ -60,6 +60,15 @@ pub(super) fn of_arms(arms: impl Iterator<Item = (Pose, [f64; AXES])>) -> SceneS
         arms: bodies,
         flap: None,
     }
+}
+
+/// Whether a camera that says `lens` and `camera_in_scene` of itself says where it is: one that doesn't has no focal length, or stands at the origin.
+pub(crate) fn is_placed(lens: &Intrinsics, camera_in_scene: &Pose) -> bool {
+    let focal = [lens.fx, lens.fy].map(|length| length > 0.0 && length.is_finite());
+    let numbers = seven(camera_in_scene).into_iter();
+    focal == [true; 2]
+        && numbers.into_iter().all(f32::is_finite)
+        && *camera_in_scene != Pose::identity()
 }
 
 /// Adds those of the cameras `names` that `model` has, as they are in `snapshot`, to `lenses`, each in its place among `names`.
@@ -160,6 +169,11 @@ pub(crate) struct SceneTap {
 impl SceneTap {
     pub(super) const fn new(model: SceneModel, board: Arc<Board>) -> Self {
         Self { model, board }
+    }
+
+    /// From now on the camera of this index is there.
+    pub(crate) fn move_camera(&mut self, camera: usize, camera_in_scene: &Pose) {
+        self.model.move_camera(camera, camera_in_scene);
     }
 
     /// Shows where everything is at `stamp`, if a page looks at it.

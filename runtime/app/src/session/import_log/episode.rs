@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 use trocar_data::dataset::CameraSpec;
-use trocar_log::{LogEnd, RunHeader, RunOutcome, Step, read_steps};
+use trocar_log::{LogEnd, RunHeader, RunMark, RunOutcome, Step, read_steps};
 
 use super::frames::LoggedCamera;
 use super::grid::SeenStep;
@@ -25,8 +25,20 @@ pub(super) struct LoggedEpisode {
     pub(super) note: Value,
 }
 
+/// What a log is to a dataset.
+#[derive(Debug)]
+pub(super) enum Found {
+    /// An episode.
+    Episode(Box<LoggedEpisode>),
+    /// A run that failed or had a fault.
+    Undone,
+    /// A run that its operator discarded.
+    Discarded,
+}
+
 impl LoggedEpisode {
-    /// Reads `log`, of which the cameras called `names` are wanted, or all; nothing of a run that failed or had a fault, unless `options` take it.
+    /// Reads `log`, of which the cameras called `names` are wanted, or all. A run that failed or had a fault is none unless `options` take it; one that
+    /// was discarded never is.
     ///
     /// # Errors
     /// See [`super::import_logs`].
@@ -34,7 +46,7 @@ impl LoggedEpisode {
         log: &Path,
         options: &LogImportOptions,
         names: &[String],
-    ) -> Result<Option<Self>, LogImportError> {
+    ) -> Result<Found, LogImportError> {
         let found = LoggedCamera::all(log)?;
         let all: Vec<String> = found.iter().map(|camera| camera.name.clone()).collect();
         // What else is wrong with the log comes first.
@@ -49,9 +61,14 @@ impl LoggedEpisode {
             ticks.take(step)
         })?;
         let outcome = whole(log, end)?;
-        let undone = !header.task.is_empty() && outcome.success != Some(true);
-        if (undone || ticks.faulted) && !options.failures {
-            return Ok(None);
+        if outcome.said.mark == Some(RunMark::Discard) {
+            return Ok(Found::Discarded);
+        }
+        let judged = !header.task.is_empty();
+        let undone = judged && outcome.success != Some(true);
+        let failed = undone || outcome.said.mark == Some(RunMark::Failure);
+        if (failed || ticks.faulted) && !options.failures {
+            return Ok(Found::Undone);
         }
         let (grid, rows, ended) = ticks.finish()?;
         if let Some(error) = absent {
@@ -73,14 +90,14 @@ impl LoggedEpisode {
                 depth: None,
             }
         };
-        Ok(Some(Self {
+        Ok(Found::Episode(Box::new(Self {
             log: log.to_owned(),
             cameras: cameras.iter().map(spec).collect(),
             arms,
             steps: steps.into_iter().zip(rows).collect(),
             note: note(log, &header, &outcome),
             task: header.task,
-        }))
+        })))
     }
 
     /// What all episodes of a dataset have alike.
@@ -149,6 +166,13 @@ fn note(log: &Path, header: &RunHeader, outcome: &RunOutcome) -> Value {
     });
     if let Some(success) = outcome.success {
         note["success"] = success.into();
+    }
+    if let Some(mark) = outcome.said.mark {
+        note["success"] = (mark == RunMark::Success).into();
+        note["ended_by"] = "operator".into();
+    }
+    if !outcome.said.label.is_empty() {
+        note["label"] = outcome.said.label.as_str().into();
     }
     if !header.task.is_empty() {
         note["task"] = header.task.as_str().into();

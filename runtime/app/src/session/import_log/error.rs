@@ -155,6 +155,12 @@ pub enum LogImportError {
         /// How many there are.
         count: usize,
     },
+    /// There is no run that was not discarded.
+    #[error("the operator has discarded all of the {count} runs: nothing is left to import")]
+    Discarded {
+        /// How many there are.
+        count: usize,
+    },
 }
 
 impl LogImportError {
@@ -175,7 +181,8 @@ impl LogImportError {
             | Self::Missing { .. }
             | Self::NotFinite { .. }
             | Self::Differs { .. }
-            | Self::Failures { .. } => true,
+            | Self::Failures { .. }
+            | Self::Discarded { .. } => true,
         }
     }
 }

@@ -29,7 +29,7 @@ use trocar_data::dataset::{CameraSpec, DatasetSpec, DatasetWriter, VideoCodec};
 use trocar_data::import::robot_type;
 
 use super::SessionError;
-use episode::LoggedEpisode;
+use episode::{Found, LoggedEpisode};
 pub use error::LogImportError;
 
 /// Which logs, and what becomes of them.
@@ -49,7 +49,7 @@ pub struct LogImportOptions {
     pub size: Option<(u32, u32)>,
     /// Keep colour as video.
     pub video: Option<VideoCodec>,
-    /// Take runs whose task was not done, too.
+    /// Take runs whose task was not done, or which their operator called a failure, too.
     pub failures: bool,
 }
 
@@ -68,6 +68,8 @@ pub struct LogImportSummary {
     pub by_hand: usize,
     /// Runs that were left out because their task was not done.
     pub left_out: usize,
+    /// The logs of runs that were left out because their operator discarded them.
+    pub discarded: Vec<PathBuf>,
 }
 
 /// Writes the logs of `options` as a dataset. After each that is written `done` gets the number of episodes so far and of all.
@@ -83,6 +85,7 @@ pub fn import_logs(
         episodes,
         cameras,
         left_out,
+        discarded,
     } = survey(options)?;
     let arms = episodes.first().map_or(0, |episode| episode.arms);
     let spec = DatasetSpec {
@@ -108,6 +111,7 @@ pub fn import_logs(
         frames: totals.frames,
         by_hand: episodes.iter().map(LoggedEpisode::by_hand).sum(),
         left_out,
+        discarded,
     })
 }
 
@@ -116,17 +120,25 @@ struct Survey {
     episodes: Vec<LoggedEpisode>,
     cameras: Vec<CameraSpec>,
     left_out: usize,
+    discarded: Vec<PathBuf>,
 }
 
 /// Looks at every log; all must be of the same arms and cameras.
 fn survey(options: &LogImportOptions) -> Result<Survey, SessionError> {
     let mut names = options.cameras.clone();
     let mut episodes: Vec<LoggedEpisode> = Vec::new();
-    let mut left_out = 0;
+    let (mut left_out, mut discarded) = (0, Vec::new());
     for log in &options.logs {
-        let Some(episode) = LoggedEpisode::read(log, options, &names)? else {
-            left_out += 1;
-            continue;
+        let episode = match LoggedEpisode::read(log, options, &names)? {
+            Found::Episode(episode) => *episode,
+            Found::Undone => {
+                left_out += 1;
+                continue;
+            }
+            Found::Discarded => {
+                discarded.push(log.clone());
+                continue;
+            }
         };
         if let Some(first) = episodes.first()
             && first.shape() != episode.shape()
@@ -144,13 +156,19 @@ fn survey(options: &LogImportOptions) -> Result<Survey, SessionError> {
         episodes.push(episode);
     }
     let Some(first) = episodes.first() else {
-        return Err(LogImportError::Failures { count: left_out }.into());
+        let count = options.logs.len();
+        return Err(match left_out {
+            0 => LogImportError::Discarded { count },
+            _ => LogImportError::Failures { count },
+        }
+        .into());
     };
     let cameras = first.cameras.clone();
     Ok(Survey {
         episodes,
         cameras,
         left_out,
+        discarded,
     })
 }
 

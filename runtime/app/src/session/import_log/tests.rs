@@ -4,9 +4,11 @@ mod hand_made;
 mod refusals;
 
 use hal::TipTarget;
+use serde_json::json;
 use trocar_control::OperatorEvent;
 use trocar_control::kinematics::forward;
 use trocar_data::dataset::{Dataset, Notes};
+use trocar_log::{RunMark, RunNote};
 
 use super::{LogImportSummary, import_logs};
 use crate::session::scratch::Scratch;
@@ -175,6 +177,7 @@ fn a_dataset_says_which_runs_it_is_of() {
         frames: summary.frames,
         by_hand: 0,
         left_out: 1,
+        discarded: Vec::new(),
     };
     assert_eq!(summary, expected);
     let notes = Notes::read(&options.out).unwrap();
@@ -208,6 +211,57 @@ fn a_dataset_says_which_runs_it_is_of() {
         (&note["success"], &note["task"]),
         (&false.into(), &"needle-lift".into())
     );
+}
+
+/// A person's word is the episode's: failures are left out unless they are asked for, what was discarded always is, by name.
+#[test]
+fn runs_are_taken_as_their_operator_marked_them() {
+    let folder = Scratch::folder("import-log-marked");
+    let marked = |name: &str, mark: Option<RunMark>, label: &str| {
+        let said = RunNote {
+            mark,
+            label: label.to_owned(),
+        };
+        let made = HandMade {
+            said,
+            ..HandMade::default()
+        };
+        made.write(&folder.join(name))
+    };
+    let good = marked("good.mcap", Some(RunMark::Success), "third try");
+    let bad = marked("bad.mcap", Some(RunMark::Failure), "");
+    let useless = marked("useless.mcap", Some(RunMark::Discard), "camera fell");
+    let unmarked = marked("unmarked.mcap", None, "as it was");
+    let mut options = options(&folder, &[&useless, &good, &bad, &unmarked]);
+    let summary = import_logs(&options, &mut |_, _| {}).unwrap();
+    assert_eq!((summary.episodes, summary.left_out), (2, 1));
+    assert_eq!(summary.discarded, [useless.as_path()]);
+    let said = |index: usize| {
+        let note = Notes::read(&options.out).unwrap().episodes.remove(index);
+        let of = |key: &str| note[key].clone();
+        json!([of("log"), of("success"), of("ended_by"), of("label")])
+    };
+    let (good, unmarked) = (said(0), said(1));
+    assert_eq!(good, json!(["good.mcap", true, "operator", "third try"]));
+    assert_eq!(unmarked, json!(["unmarked.mcap", null, null, "as it was"]));
+
+    options.out = folder.join("all");
+    options.failures = true;
+    let summary = import_logs(&options, &mut |_, _| {}).unwrap();
+    assert_eq!((summary.episodes, summary.left_out), (3, 0));
+    assert_eq!(summary.discarded, [useless.as_path()]);
+    let note = Notes::read(&options.out).unwrap().episodes.remove(1);
+    assert_eq!(note["success"], false);
+    assert!(note["label"].is_null());
+
+    (options.out, options.logs) = (folder.join("none"), vec![useless]);
+    let error = import_logs(&options, &mut |_, _| {}).unwrap_err();
+    assert!(error.is_bad_input(), "{error}");
+    assert!(
+        error.to_string().contains("discarded all of the 1 runs"),
+        "{error}"
+    );
+    assert!(!options.out.exists());
 }
 
 /// Of two sizes --resize makes one, and images of the chosen cameras alone are there, in the order that was asked for.

@@ -1,6 +1,6 @@
 //! A run that has come to its end: its log is closed, and it is summed up.
 
-use trocar_log::LogFile;
+use trocar_log::{LogFile, RunOutcome};
 
 use super::control_thread::ControlEnd;
 use crate::session::Plan;
@@ -20,7 +20,11 @@ pub(super) fn closed<R, S: Arms>(
     let mut log_dropped = control.log_dropped;
     let mut log_failure = None;
     if let Some(log) = log {
-        match log.finish(Some(&ended.outcome(&control.tally))) {
+        let outcome = RunOutcome {
+            said: plan.said(),
+            ..ended.outcome(&control.tally)
+        };
+        match log.finish(Some(&outcome)) {
             Ok(counts) => log_dropped += counts.frames_dropped + counts.events_dropped,
             Err(error) => log_failure = Some(error),
         }

@@ -6,6 +6,7 @@ use trocar_tasks::task::TaskConfig;
 use trocar_topics::FrameView;
 
 use super::frames_thread::show_view;
+use super::robot::ArmsScene;
 use super::scene_topics::{SceneForPages, Snapshot, WorldForPages, WorldTopics};
 use super::simulation_thread::ConsoleView;
 use crate::console::{Console, Facts, FrameTap, PictureFacts, unseen_run};
@@ -93,6 +94,8 @@ pub(super) struct RigPages {
     pub(super) cameras: Option<CameraPages>,
     /// Of a task, for a console or a log.
     pub(super) world: Option<WorldForPages>,
+    /// Of a robot without a task, if there is a console.
+    pub(super) arms: Option<ArmsScene>,
 }
 
 /// Shows the scene of a `world` of another process on the pages of the console of `plan`, which begins with `start` if that is known.
@@ -130,6 +133,7 @@ pub(super) fn show_rig<S: Arms>(
         return RigPages {
             cameras: None,
             world: world.map(|world| world.told_to(None)),
+            arms: None,
         };
     };
     if world.as_ref().is_some_and(WorldTopics::has_scene) {
@@ -140,7 +144,14 @@ pub(super) fn show_rig<S: Arms>(
         listener.show(taps.view);
     }
     port.tap = Some(taps.control);
+    // Nothing judges a robot's run but a person.
+    if task.is_none() && plan.log.is_some() {
+        console.hands().ask_for_mark();
+    }
+    let arms = &plan.setup.robot().control.arms;
+    let scene = || ArmsScene::new(console, arms, &cameras);
     RigPages {
+        arms: task.is_none().then(scene),
         cameras: Some(CameraPages::of(console, cameras)),
         world: world.map(|world| world.told_to(Some(taps.task))),
     }

@@ -57,7 +57,7 @@ impl Hands {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Held> {
+    pub(super) fn lock(&self) -> MutexGuard<'_, Held> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -285,6 +285,9 @@ impl Hands {
     /// # Errors
     /// [`HandsMessageError::NoRecording`] if nothing is recorded, [`HandsMessageError::NotNow`] if it does not apply.
     pub(crate) fn wish(&self, wish: EpisodeCommand) -> Result<(), HandsMessageError> {
+        if self.mark_by(wish) {
+            return Ok(());
+        }
         let mut inner = self.lock();
         let recording = inner.recording.ok_or(HandsMessageError::NoRecording)?;
         let applies = match recording.phase {
@@ -299,12 +302,16 @@ impl Hands {
         Ok(())
     }
 
-    /// The demonstration under way is called `text` in the dataset.
+    /// The demonstration under way is called `text` in the dataset, or the run that asks for a mark in its log.
     ///
     /// # Errors
     /// [`HandsMessageError::NoRecording`] if nothing is recorded.
     pub(crate) fn set_label(&self, text: String) -> Result<(), HandsMessageError> {
         let mut inner = self.lock();
+        if let Some(said) = &mut inner.said {
+            said.label = text;
+            return Ok(());
+        }
         if inner.recording.is_none() {
             return Err(HandsMessageError::NoRecording);
         }

@@ -1,6 +1,7 @@
 //! What is known of the operator's hands: who sends them, when, and what each arm's clutch does.
 
 use hal::{ARMS_MAX, Pose, TimeNs};
+use trocar_log::{RunMark, RunNote};
 
 use super::alignment::{DEFAULT_ALIGN_DEG, misaligned_deg};
 use super::clutch::{Clutch, Grip, ReleaseCause};
@@ -45,6 +46,9 @@ pub(super) struct Held {
     pub(super) recording: Option<Recording>,
     /// What the demonstration under way is called.
     pub(super) label: String,
+    /// What a person says of the run, if it asks; and their newest mark until it is told.
+    pub(super) said: Option<RunNote>,
+    pub(super) marked: Option<Option<RunMark>>,
     pub(super) tips: [Option<(Pose, f64)>; ARMS_MAX],
     pub(super) counts: Counts,
 }

@@ -79,6 +79,9 @@ pub(crate) enum HandsMessageError {
     /// Nothing is recorded.
     #[error("this run records no demonstration")]
     NoRecording,
+    /// Nobody is asked how the run went.
+    #[error("this run is marked by nobody: it has a task that judges it, or no log")]
+    NoMark,
     /// The wish does not fit how the episode stands.
     #[error("that does not apply now: an episode is started first, and ended once")]
     NotNow,

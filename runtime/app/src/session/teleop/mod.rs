@@ -27,6 +27,7 @@ mod hands;
 mod held;
 mod intervention;
 mod latency;
+mod mark;
 mod message;
 mod operator;
 mod source;

@@ -9,6 +9,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rtrb::RingBuffer;
 use serde_json::json;
 use trocar_control::kinematics::forward;
+use trocar_log::{RunMark, RunNote};
 
 use super::message::HandsMessageError;
 use super::view::rcm_from_view;
@@ -559,6 +560,40 @@ fn wishes_apply_where_they_make_sense() {
             assert_eq!(hands.take_episode_command(), applies.then_some(wish));
         }
     }
+}
+
+/// A run that no task judges is marked and labelled as often as one likes; its newest mark is told once.
+#[test]
+fn a_run_is_marked_if_it_asks() {
+    let hands = Hands::new();
+    let no_mark = Err(HandsMessageError::NoMark);
+    assert_eq!(hands.mark(Some(RunMark::Success)), no_mark);
+    assert_eq!((hands.said(), hands.take_mark()), (None, None));
+    hands.ask_for_mark();
+    assert_eq!(hands.said(), Some(RunNote::default()));
+    for (mark, news) in [
+        (None, None),
+        (Some(RunMark::Failure), Some(Some(RunMark::Failure))),
+        (Some(RunMark::Failure), None),
+        (None, Some(None)),
+    ] {
+        hands.mark(mark).unwrap();
+        assert_eq!(hands.take_mark(), news, "{mark:?}");
+    }
+    hands.set_label("first try".to_owned()).unwrap();
+    // As the buttons of a device at the robot's computer.
+    for (wish, expected) in [
+        (EpisodeCommand::Keep, Ok(Some(RunMark::Success))),
+        (EpisodeCommand::Redo, Err(HandsMessageError::NoRecording)),
+        (EpisodeCommand::Discard, Ok(Some(RunMark::Discard))),
+        (EpisodeCommand::Start, Err(HandsMessageError::NoRecording)),
+    ] {
+        let said = hands.wish(wish).map(|()| hands.said().unwrap().mark);
+        assert_eq!(said, expected, "{wish:?}");
+    }
+    let said = hands.said().unwrap();
+    assert_eq!(said.to_string(), "marked discard, label \"first try\"");
+    assert!(hands.take_label().is_none(), "no demonstration's");
 }
 
 /// A run with another policy hears no hands.

@@ -9,7 +9,7 @@ use hal::{
 use trocar_control::kinematics::forward;
 use trocar_control::{Mode, OperatingState, OperatorEvent, QpOutcome, TickReport};
 use trocar_log::{
-    ArmRecord, Pressure, Recorder, RunHeader, RunOutcome, TickRecord, TickTiming, Writing,
+    ArmRecord, Pressure, Recorder, RunHeader, RunNote, RunOutcome, TickRecord, TickTiming, Writing,
 };
 
 use super::super::LogImportOptions;
@@ -47,6 +47,8 @@ pub(super) struct HandMade {
     pub(super) bounded: bool,
     /// Whether the run says how it ended.
     pub(super) ends: bool,
+    /// What the operator said of it.
+    pub(super) said: RunNote,
 }
 
 impl Default for HandMade {
@@ -61,6 +63,7 @@ impl Default for HandMade {
             change: |_| {},
             bounded: false,
             ends: true,
+            said: RunNote::default(),
         }
     }
 }
@@ -139,6 +142,7 @@ impl HandMade {
             success: self.success,
             reason: "the 1 s are over".to_owned(),
             command_hash: "0123456789abcdef".to_owned(),
+            said: self.said.clone(),
         };
         recorder.finish(self.ends.then_some(&outcome)).unwrap();
         path.to_owned()

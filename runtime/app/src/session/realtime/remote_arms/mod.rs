@@ -229,6 +229,7 @@ fn run_task<L: ArmLink>(
         let RigPages {
             cameras: camera_pages,
             world: world_pages,
+            arms: _,
         } = watching.pages;
         let names = match &camera_pages {
             Some(_) => plan.setup.camera_names(),
@@ -305,7 +306,8 @@ fn run_robot<L: ArmLink>(
         let supervised = (plan.setup.robot().control.supervision, plan.warn);
         let robot_thread = RobotThread::new(seen, local, reports, cameras, (asked, supervised));
         let robot_thread = robot_thread.moved_by(by_hand);
-        let robot_thread = robot_thread.shown_on(pages.cameras);
+        let robot_thread = robot_thread.shown_on(pages.cameras).shown_in(pages.arms);
+        let robot_thread = robot_thread.marked_at(plan.console.as_ref());
         let robot_thread = robot_thread.woken_by(node.events()?);
         Ok(|| robot_thread.run())
     })

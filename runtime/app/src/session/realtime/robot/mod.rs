@@ -2,6 +2,7 @@
 //! ([`run_robot_on_can`](super::run_robot_on_can)) or led by another process ([`run_robot_on_topics`](super::run_robot_on_topics)).
 
 mod own_rig;
+mod scene;
 mod sight;
 mod thread;
 
@@ -9,6 +10,7 @@ mod thread;
 mod tests;
 
 pub use own_rig::run_rig;
+pub(super) use scene::ArmsScene;
 pub(super) use thread::{RobotEnd, RobotThread};
 
 use super::watch::Watched;

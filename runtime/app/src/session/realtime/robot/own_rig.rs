@@ -68,7 +68,8 @@ pub(super) fn run_seeing<R: Rig + Send>(
         (asked, (robot.control.supervision, plan.warn)),
     );
     let robot_thread = robot_thread.moved_by(by_hand);
-    let robot_thread = robot_thread.shown_on(pages.cameras);
+    let robot_thread = robot_thread.shown_on(pages.cameras).shown_in(pages.arms);
+    let robot_thread = robot_thread.marked_at(plan.console.as_ref());
     let control = move || {
         // Until the drives are taken down.
         let _moving = Moving;

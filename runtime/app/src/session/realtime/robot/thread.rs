@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use hal::{ArmState, TimeNs};
+use trocar_log::Level;
 use trocar_topics::{ArmReport, Events, Publisher};
 
 use super::super::by_hand::ByHand;
@@ -11,12 +12,14 @@ use super::super::channels::{Local, ObserverChannels};
 use super::super::remote_arms::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
 use super::super::shown::CameraPages;
 use super::super::signals::EndRunOnDrop;
-use super::RobotOptions;
 use super::sight::{CameraMonitor, Rules};
+use super::{ArmsScene, RobotOptions};
+use crate::console::Console;
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
 use crate::session::source::{ChunkSource, Query, STEP_NS};
+use crate::session::teleop::Hands;
 use hal::PerArm;
 
 /// Polling period for the measured arms, which wake nobody, ns; a frame does.
@@ -45,6 +48,10 @@ pub(in super::super) struct RobotThread {
     events: Option<Events>,
     /// Pages that are shown frames.
     pages: Option<CameraPages>,
+    /// Where a person says how the run goes.
+    marked_by: Option<Arc<Hands>>,
+    /// Pages that are shown the instruments.
+    scene: Option<ArmsScene>,
 }
 
 /// What it leaves behind.
@@ -109,6 +116,8 @@ impl RobotThread {
             past: Past::default(),
             events: None,
             pages: None,
+            marked_by: None,
+            scene: None,
         }
     }
 
@@ -128,6 +137,17 @@ impl RobotThread {
         Self { pages, ..self }
     }
 
+    /// The same thread, which shows the instruments in `scene` if there is one.
+    pub(in super::super) fn shown_in(self, scene: Option<ArmsScene>) -> Self {
+        Self { scene, ..self }
+    }
+
+    /// The same thread, which tells the log how a person at `console` marks the run.
+    pub(in super::super) fn marked_at(self, console: Option<&Console>) -> Self {
+        let marked_by = console.map(Console::hands);
+        Self { marked_by, ..self }
+    }
+
     /// Runs until the control thread has stopped; ends the run when the time is up or a camera that the policy needs is gone.
     pub(in super::super) fn run(mut self) -> Result<RobotEnd, SessionError> {
         let signals = Arc::clone(&self.seen.signals);
@@ -140,10 +160,11 @@ impl RobotThread {
         let (mut first, mut observed): (_, Option<(TimeNs, u64)>) = (None, None);
         self.sight.begin(self.seen.clock.now());
         while !signals.stopped() {
-            self.seen.tell();
+            self.tell();
             let now = self.seen.clock.now();
             if let Some(states) = self.seen.measured.take() {
                 self.past.add(states.first.stamp, states);
+                self.show_arms(&states);
                 if let Some(by_hand) = self.by_hand.as_mut().filter(|_| !signals.done()) {
                     by_hand.look(&states, now, &signals)?;
                 }
@@ -193,7 +214,7 @@ impl RobotThread {
                 None => rt::sleep_ns(POLL_NS),
             }
         }
-        self.seen.tell();
+        self.tell();
         Ok(end)
     }
 
@@ -228,6 +249,9 @@ impl RobotThread {
             if index == 0 {
                 taken = Some(stamp);
             }
+            if let Some(scene) = &mut self.scene {
+                scene.saw(index, &header.intrinsics, &header.camera_in_scene());
+            }
             if let Some(pages) = &self.pages {
                 pages.show(name, &view, self.seen.clock);
             }
@@ -236,6 +260,31 @@ impl RobotThread {
             }
         }
         Ok(taken)
+    }
+
+    /// Writes into the log what has happened, and how the run is marked.
+    fn tell(&mut self) {
+        let marked = self.marked_by.as_ref().and_then(|hands| hands.take_mark());
+        if let Some(mark) = marked {
+            let text = match mark {
+                Some(mark) => format!("the operator marks the run: {}", mark.name()),
+                None => "the operator takes the mark of the run back".to_owned(),
+            };
+            let now = self.seen.clock.now();
+            self.seen.signals.tell(now, Level::Info, &text);
+        }
+        self.seen.tell();
+    }
+
+    /// Shows pages where the arms are; a scene that can't be shown ends with a word, the run goes on.
+    fn show_arms(&mut self, states: &PerArm<ArmState>) {
+        let shown = self.scene.as_mut().map(|scene| scene.show(states));
+        if let Some(Err(error)) = shown {
+            let text = format!("pages are shown no more of the scene: {error}");
+            let signals = &self.seen.signals;
+            signals.tell(self.seen.clock.now(), Level::Warning, &text);
+            self.scene = None;
+        }
     }
 
     /// Tells a policy process where the arms were `at` the instant of a frame, which it needs to go with that frame.
