@@ -461,7 +461,7 @@ fn faults_modes_and_the_end_are_told_in_words() {
     let mut recorder = Recorder::create(&file.0, &header, Pressure::Block).unwrap();
     records.iter().for_each(|record| recorder.tick(record));
     recorder.finish(Some(&outcome())).unwrap();
-    let reason = outcome().reason;
+    let (reason, said) = (outcome().reason, outcome().said);
     assert_eq!(
         RunLog::open(&file.0).unwrap().events,
         [
@@ -469,7 +469,7 @@ fn faults_modes_and_the_end_are_told_in_words() {
             "psm1: DISABLED to ENABLED".to_owned(),
             "psm1: ENABLED to FAULT".to_owned(),
             "psm1: fault: drive of axis 2 reports fault 0x0001".to_owned(),
-            format!("the run ended: {reason}"),
+            format!("the run ended: {reason}; {said}"),
         ]
     );
 }

@@ -318,6 +318,7 @@ fn shows_its_arm(log: &Path) {
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_shows_and_marks_the_run_of_a_robot() {
+    let _turn = tests::alone();
     let simulator = Simulator::start("console-robot-browser");
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
     let log = scratch("console-robot-browser-log").join("run.mcap");
