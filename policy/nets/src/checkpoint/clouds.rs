@@ -15,7 +15,7 @@ use crate::normalise::Statistics;
 use crate::parameters::Parameters;
 use trocar_data::perception::{CloudRecipe, Point};
 
-const STATISTICS: &str = "statistics.safetensors";
+pub(super) const STATISTICS: &str = "statistics.safetensors";
 
 /// Points that a cloud may have.
 const POINTS_MAX: usize = 1 << 16;

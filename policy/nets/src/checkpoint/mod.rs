@@ -52,6 +52,15 @@ const CONFIG: &str = "config.json";
 pub const WEIGHTS: &str = "model.safetensors";
 pub(crate) const RECIPE: &str = "trocar.json";
 
+/// Whether the file called `name` in a checkpoint's folder is read when a policy is loaded.
+#[must_use]
+pub fn is_read(name: &str) -> bool {
+    [CONFIG, WEIGHTS, RECIPE, clouds::STATISTICS].contains(&name)
+        || ["policy_preprocessor", "policy_postprocessor"]
+            .iter()
+            .any(|processor| name.starts_with(processor))
+}
+
 /// Times between two steps of a chunk, ns, as the gate takes them: 1 kHz to 1 Hz.
 const STEP_NS: std::ops::RangeInclusive<u64> = 1_000_000..=1_000_000_000;
 

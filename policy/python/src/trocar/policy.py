@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, Union
@@ -191,8 +192,9 @@ def _targets(index: int, given: Any, arm: Arm) -> Array:
 def checked_step_ns(step_ns: int) -> int:
     """`step_ns`, the time between two rows of an answer, if there can be such rows.
 
-    Raises ValueError if not.
+    Raises ValueError if not, TypeError if it is no whole number.
     """
+    step_ns = operator.index(step_ns)
     if not STEP_NS_MIN <= step_ns <= STEP_NS_MAX:
         raise ValueError(f"step_ns = {step_ns}: allowed are {STEP_NS_MIN} to {STEP_NS_MAX} (1 ms to 1 s)")
     return step_ns

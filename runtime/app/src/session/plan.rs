@@ -124,12 +124,12 @@ impl<S> Plan<S> {
         counts.then_some(summary)
     }
 
-    /// What a person said of the run, if it asked.
-    pub(super) fn said(&self) -> RunNote {
+    /// What a person said of the run, if it asked; from now on it asks no more.
+    pub(super) fn take_said(&self) -> RunNote {
         let said = self
             .console
             .as_ref()
-            .and_then(|console| console.hands().said());
+            .and_then(|console| console.hands().take_said());
         said.unwrap_or_default()
     }
 

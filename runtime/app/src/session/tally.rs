@@ -11,7 +11,7 @@ use super::summary::{
 use crate::histogram::Histogram;
 use hal::PerArm;
 use trocar_control::{AnyController, CommandHash, Fault, MeasuredClearance, QpOutcome, TickReport};
-use trocar_log::TickRecord;
+use trocar_log::{RunNote, TickRecord};
 
 /// What a run adds up to.
 #[derive(Debug, Default)]
@@ -157,7 +157,7 @@ impl Tally {
             seed: plan.seed,
             success: ended.success,
             reason: ended.reason.clone(),
-            said: plan.said(),
+            said: RunNote::default(),
             seconds: scaled((self.ticks + skipped) * hal::TICK_NS, 1e-9),
             ticks: self.ticks,
             command_hash: self.command_hash(),

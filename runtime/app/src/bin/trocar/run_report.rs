@@ -63,13 +63,19 @@ pub(crate) fn last_words(args: &RunArgs, summary: &RunSummary) -> String {
 
 /// Where the log of a robot's run is that was asked for, and what makes a dataset of it; only the first of a log that makes none.
 pub(crate) fn import_hint(args: &RunArgs, summary: &RunSummary) -> Option<String> {
-    let log = args.log.as_ref().filter(|_| args.task.is_none())?.display();
+    let log = args.log.as_ref().filter(|_| args.task.is_none())?;
+    let shown = log.display();
     let is_whole = args.log_max_mb.is_none() && summary.said.mark != Some(RunMark::Discard);
-    Some(if is_whole {
-        format!("log: {log}; `trocar import log {log} --task TEXT --out DIR` makes a dataset of it")
-    } else {
-        format!("log: {log}")
-    })
+    if !is_whole {
+        return Some(format!("log: {shown}"));
+    }
+    let failed = summary.said.mark == Some(RunMark::Failure);
+    let failures = if failed { " --failures" } else { "" };
+    let has_spaces = log.to_string_lossy().contains(char::is_whitespace);
+    let quote = if has_spaces { "'" } else { "" };
+    Some(format!(
+        "log: {shown}; if it has camera frames, `trocar import log {quote}{shown}{quote}{failures} --task TEXT --out DIR` makes a dataset of it"
+    ))
 }
 
 fn report_can(arm: &CanArmSummary) {

@@ -32,6 +32,8 @@ let link = "waiting";
 let ended = null;
 let log = false;
 let said = "";
+// A page asks for the seat once a connection: whoever lets go of it has let go.
+let asked = false;
 
 function say(text) {
   if (text !== said) byId("live").textContent = text;
@@ -55,7 +57,10 @@ const heard = {
     episodes.facts(facts);
     teleop.facts(facts);
     if (facts.subject !== "run") byId("steering").hidden = true;
-    else if (!log) send({ steer: true });
+    else if (!log && !asked) {
+      asked = true;
+      send({ steer: true });
+    }
   },
   state(state) {
     panels.state(state);
@@ -120,6 +125,7 @@ connection = new Connection({
   },
   change(state, reason) {
     link = state;
+    if (state !== "open") asked = false;
     operator.link(state === "open");
     teleop.link(state === "open");
     if (state === "lost" && !ended) banner(`Connection lost; what is shown is old. Trying again.${reason ? ` (${reason})` : ""}`);

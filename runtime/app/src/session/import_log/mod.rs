@@ -156,10 +156,11 @@ fn survey(options: &LogImportOptions) -> Result<Survey, SessionError> {
         episodes.push(episode);
     }
     let Some(first) = episodes.first() else {
-        let count = options.logs.len();
         return Err(match left_out {
-            0 => LogImportError::Discarded { count },
-            _ => LogImportError::Failures { count },
+            0 => LogImportError::Discarded {
+                count: options.logs.len(),
+            },
+            count => LogImportError::Failures { count },
         }
         .into());
     };

@@ -5,11 +5,10 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use trocar_nets::checkpoint::is_read;
+
 use crate::session::SessionError;
 use crate::study::address::hash_file;
-
-/// What is read of a checkpoint's folder, by the ends of their names.
-const KINDS: [&str; 2] = ["json", "safetensors"];
 
 /// A checkpoint's files as they were.
 pub(super) struct CheckpointFiles {
@@ -46,9 +45,8 @@ fn hashes(folder: &Path) -> io::Result<BTreeMap<String, String>> {
     let mut hashes = BTreeMap::new();
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
-        let kind = path.extension().and_then(|kind| kind.to_str());
-        if kind.is_some_and(|kind| KINDS.contains(&kind)) && path.is_file() {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if is_read(&name) && path.is_file() {
             hashes.insert(name.into_owned(), hash_file(&path)?);
         }
     }
@@ -73,7 +71,9 @@ mod tests {
         fs::write(&recipe, "{}").unwrap();
         let files = CheckpointFiles::read(&folder).unwrap();
         let changed = || files.check_unchanged().map_err(|error| error.to_string());
-        fs::write(folder.join("loss.csv"), "not read").unwrap();
+        for name in ["loss.csv", "evaluation.json", "optimiser.safetensors"] {
+            fs::write(folder.join(name), "not read").unwrap();
+        }
         assert_eq!(changed(), Ok(()));
         fs::write(&weights, [1, 2, 4]).unwrap();
         let said = changed().unwrap_err();

@@ -8,7 +8,7 @@ use crate::session::ended::Ended;
 use crate::session::pictures::Thumbnails;
 use crate::session::plan::Arms;
 use crate::session::run::RunResult;
-use crate::session::summary::RealTimeCounts;
+use crate::session::summary::{RealTimeCounts, RunSummary};
 
 /// Closes the log of a run of `plan` that `ended` so, and sums up.
 pub(super) fn closed<R, S: Arms>(
@@ -17,11 +17,13 @@ pub(super) fn closed<R, S: Arms>(
     ended: &Ended,
     log: Option<LogFile>,
 ) -> RunResult {
+    // The log and the result say the same of it, and nobody marks a run that has ended.
+    let said = plan.take_said();
     let mut log_dropped = control.log_dropped;
     let mut log_failure = None;
     if let Some(log) = log {
         let outcome = RunOutcome {
-            said: plan.said(),
+            said: said.clone(),
             ..ended.outcome(&control.tally)
         };
         match log.finish(Some(&outcome)) {
@@ -35,7 +37,10 @@ pub(super) fn closed<R, S: Arms>(
     };
     RunResult {
         ok: ended.ok,
-        summary: control.tally.summary(plan, ended, Some(real_time)),
+        summary: RunSummary {
+            said,
+            ..control.tally.summary(plan, ended, Some(real_time))
+        },
         pictures: Thumbnails::default(),
         log_failure,
         demonstration: None,

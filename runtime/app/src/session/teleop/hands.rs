@@ -309,7 +309,7 @@ impl Hands {
     pub(crate) fn set_label(&self, text: String) -> Result<(), HandsMessageError> {
         let mut inner = self.lock();
         if let Some(said) = &mut inner.said {
-            said.label = text;
+            text.trim().clone_into(&mut said.label);
             return Ok(());
         }
         if inner.recording.is_none() {

@@ -42,6 +42,11 @@ impl Hands {
         self.lock().said.clone()
     }
 
+    /// What was said of the run, which asks no more.
+    pub(crate) fn take_said(&self) -> Option<RunNote> {
+        self.lock().said.take()
+    }
+
     /// The newest mark, if it is another than this was asked for last.
     pub(crate) fn take_mark(&self) -> Option<Option<RunMark>> {
         self.lock().marked.take()
