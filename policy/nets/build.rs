@@ -12,9 +12,14 @@ fn main() {
     println!("cargo:rerun-if-changed={folder}/shim.cpp");
     println!("cargo:rerun-if-changed={folder}/cuda");
     println!("cargo:rerun-if-env-changed=LIBTORCH_INCLUDE");
-    // As torch-sys finds them.
+    // As torch-sys finds those of a libtorch that is not Python's or the system's.
     let libtorch = env::var_os("LIBTORCH_INCLUDE").or_else(|| env::var_os("LIBTORCH"));
     let headers = PathBuf::from(libtorch.unwrap_or_default()).join("include");
+    assert!(
+        headers.join("ATen/Context.h").exists(),
+        "{} has no headers of libtorch: run `make setup`, or set LIBTORCH",
+        headers.display()
+    );
     let mut build = cc::Build::new();
     build.cpp(true).std("c++17").debug(false).warnings(true);
     // Ours come first: with whichever toolkit is installed beside it, the program is the same.

@@ -52,13 +52,24 @@ pub enum SnapshotError {
 }
 
 impl Snapshot {
-    /// An empty one, with room for the state of any controller: filling it allocates nothing.
+    /// An empty one, with room for the state of any controller: filling it allocates nothing and, since the room has been written to, takes
+    /// no page fault.
     #[must_use]
     pub fn new() -> Self {
+        let nowhere = HeldChunk {
+            arm: usize::MAX,
+            slot: usize::MAX,
+            sequence: u64::MAX,
+            observed_at: TimeNs(u64::MAX),
+        };
+        let mut state = vec![u64::MAX; STATE_WORDS_MAX];
+        let mut held = vec![nowhere; HELD_MAX];
+        state.clear();
+        held.clear();
         Self {
             layout: 0,
-            state: Vec::with_capacity(STATE_WORDS_MAX),
-            held: Vec::with_capacity(HELD_MAX),
+            state,
+            held,
         }
     }
 
@@ -72,7 +83,7 @@ impl Snapshot {
         }
     }
 
-    /// A hash over names, types and order of all that is in [`Self::state`].
+    /// A hash over names and order of all that is in [`Self::state`], and over most types.
     #[must_use]
     pub const fn layout(&self) -> u64 {
         self.layout

@@ -44,6 +44,12 @@ impl Bound {
         fs::metadata(path).is_ok_and(|found| found.len() >= self.file_bytes_max)
     }
 
+    /// Whether it is so large that half of what is spare is gone.
+    pub(super) fn is_overdue(&self, path: &Path) -> bool {
+        let bytes_max = self.file_bytes_max + SPARE_BYTES / 2;
+        fs::metadata(path).is_ok_and(|found| found.len() >= bytes_max)
+    }
+
     /// Puts the file at `path` aside and begins the next one, after `ticks` ticks.
     pub(super) fn next(
         &self,

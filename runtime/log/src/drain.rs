@@ -180,7 +180,8 @@ impl Drain {
     }
 
     /// Where the controller's state has come for a tick up to that of `record`, which is to be written: begins the next file there if the
-    /// bound is reached.
+    /// bound is reached. One that lacks a chunk, or is not of this very tick since ticks between were dropped, begins a file only where no more
+    /// can be waited for another: that file can't be replayed.
     fn turn_at_snapshot(&mut self, record: u64) {
         let bounded = self.bounded.as_mut();
         let Some(item) = bounded.and_then(|bounded| bounded.snapshots.take(record)) else {
@@ -190,9 +191,12 @@ impl Drain {
         self.note(flushed);
         if let Some(bounded) = &mut self.bounded {
             bounded.has_snapshots = true;
-            if self.failure.is_none() && bounded.bound.is_reached(&self.path) {
-                let snapshot = SnapshotMessage::new(&item, &bounded.seen);
-                let next = bounded.bound.next(&self.path, item.record);
+            let reached = self.failure.is_none() && bounded.bound.is_reached(&self.path);
+            let snapshot = (reached && item.record == record)
+                .then(|| SnapshotMessage::new(&item, &bounded.seen))
+                .flatten();
+            if snapshot.is_some() || (reached && bounded.bound.is_overdue(&self.path)) {
+                let next = bounded.bound.next(&self.path, record);
                 self.go_on(next, snapshot.as_ref());
             }
         }

@@ -5,6 +5,8 @@
 #include <cstdlib>
 #include <string>
 
+// As in `shim.cpp`.
+#define C10_CUDA_NO_CMAKE_CONFIGURE_FILE
 #define USE_CUDA
 #include <ATen/cuda/CUDAGeneratorImpl.h>
 #include <ATen/cuda/CUDAGraph.h>

@@ -39,6 +39,10 @@
 #pragma weak cudaStreamEndCapture
 #pragma weak cudaStreamIsCapturing
 
+#define TROCAR_TEXT(x) #x
+#define TROCAR_VERSION(major, minor) TROCAR_TEXT(major) "." TROCAR_TEXT(minor)
+#define TROCAR_TORCH TROCAR_VERSION(TORCH_VERSION_MAJOR, TORCH_VERSION_MINOR)
+
 using at::cuda::CUDAGraph;
 
 namespace {
@@ -65,13 +69,15 @@ template <class Work>
 const char *reason(Work work) noexcept {
     thread_local std::string said;
     try {
-        if (!here()) throw std::runtime_error("the libraries here have no CUDA");
+        if (!here()) throw std::runtime_error("the libraries here have no CUDA of libtorch " TROCAR_TORCH);
         work();
         return nullptr;
     } catch (const c10::Error &error) {
         said = error.what_without_backtrace();
     } catch (const std::exception &error) {
         said = error.what();
+    } catch (...) {
+        said = "an unknown exception";
     }
     return said.c_str();
 }

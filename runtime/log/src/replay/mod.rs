@@ -126,7 +126,7 @@ pub enum ReplayError {
     },
     /// The controller can't go on from the state in the log.
     #[error(
-        "the log's bound left out its beginning, and the controller can't go on from its state in the log: {0}"
+        "the log's bound left out its beginning, and the controller can't go on from its state in the log"
     )]
     State(#[from] SnapshotError),
     /// There is nothing to compare.

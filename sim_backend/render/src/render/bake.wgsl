@@ -6,9 +6,8 @@ override PATTERN: u32 = 5;
 
 struct Paint {
     base_colour: vec3f,
-    // Neighbours of a cell on each side, 1: the compiler does not know it, and a software rasteriser compiles loops that are not unrolled in a
-    // fraction of the time.
-    around: i32,
+    // 1, which the compiler does not know: a software rasteriser compiles loops that it can't unroll in a fraction of the time.
+    one: i32,
     // Side of the image, texels and mm.
     size_px: f32,
     size_mm: f32,
@@ -47,7 +46,7 @@ fn octaves(p: vec2f, seed: i32, count: i32) -> f32 {
     var all = 0.0;
     var q = p;
     var share = 1.0;
-    for (var octave = 0; octave < count * paint.around; octave++) {
+    for (var octave = 0; octave < count * paint.one; octave++) {
         sum += share * noise(q, seed + octave);
         all += share;
         q = vec2f(0.8 * q.x - 0.6 * q.y, 0.6 * q.x + 0.8 * q.y) * 2.03;
@@ -69,8 +68,8 @@ fn swell(p: vec2f, seed: i32) -> f32 {
 fn cells(p: vec2f, seed: i32) -> vec3f {
     let home = floor(p);
     var nearest = vec3f(8.0, 8.0, 0.0);
-    for (var dy = -paint.around; dy <= paint.around; dy++) {
-        for (var dx = -paint.around; dx <= paint.around; dx++) {
+    for (var dy = -paint.one; dy <= paint.one; dy++) {
+        for (var dx = -paint.one; dx <= paint.one; dx++) {
             let cell = vec2i(home) + vec2i(dx, dy);
             let scatter = vec2f(lattice(vec3i(cell, seed)), lattice(vec3i(cell, seed + 1)));
             let distance = length(vec2f(cell) + 0.1 + 0.8 * scatter - p);

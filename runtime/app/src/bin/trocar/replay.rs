@@ -98,7 +98,8 @@ fn replay_log(args: &LogArgs) -> Done {
         write_json(path, &result)?;
     }
     // What a bound left out is said, and is nothing that is wrong with what it kept.
-    let cut = result.cut.as_deref().filter(|_| !result.bounded);
+    let is_whole_part = result.bounded && result.inputs_checked;
+    let cut = result.cut.as_deref().filter(|_| !is_whole_part);
     refuse_cut(cut, args)?;
     Ok(result.identical)
 }
