@@ -1,11 +1,11 @@
-//! The time of day beside the monotonic clock: for people, who set it while a run goes on, and for no deadline.
+//! CLOCK_REALTIME beside CLOCK_MONOTONIC: the time of day, for people and for no deadline.
 
 use super::sys;
 
-/// Set by less than this it counts as slewed, ns.
+/// A smaller step counts as slewing, ns.
 const SET_NS_MIN: u64 = 10_000_000;
 
-/// Notices when somebody, or NTP, sets the system's clock.
+/// Detects steps of CLOCK_REALTIME, by a person or NTP.
 #[derive(Debug, Default)]
 pub struct WallClock {
     /// How far it was ahead of the monotonic clock at the last look, ns.
