@@ -1,5 +1,9 @@
 //! CLOCK_REALTIME beside CLOCK_MONOTONIC: the time of day, for people and for no deadline.
 
+use std::time::Duration;
+
+use time::OffsetDateTime;
+
 use super::sys;
 
 /// A smaller step counts as slewing, ns.
@@ -36,35 +40,9 @@ pub fn wall_time() -> String {
 
 /// The date and the time of day that is `unix_ns` after 1970 began.
 fn utc(unix_ns: u64) -> String {
-    let (seconds, ms) = (unix_ns / 1_000_000_000, unix_ns / 1_000_000 % 1000);
-    let (mut days, of_day) = (seconds / 86_400, seconds % 86_400);
-    let mut year = 1970;
-    while days >= year_days(year) {
-        days -= year_days(year);
-        year += 1;
-    }
-    let mut month = 1;
-    while days >= month_days(year, month) {
-        days -= month_days(year, month);
-        month += 1;
-    }
-    let (hour, minute, second) = (of_day / 3600, of_day / 60 % 60, of_day % 60);
-    let day = days + 1;
-    format!("{year}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}.{ms:03} UTC")
-}
-
-const fn year_days(year: u64) -> u64 {
-    337 + month_days(year, 2)
-}
-
-const fn month_days(year: u64, month: u64) -> u64 {
-    let leaps = year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
-    match month {
-        2 if leaps => 29,
-        2 => 28,
-        4 | 6 | 9 | 11 => 30,
-        _ => 31,
-    }
+    let at = OffsetDateTime::UNIX_EPOCH + Duration::from_nanos(unix_ns);
+    let (date, (hour, minute, second, ms)) = (at.date(), at.to_hms_milli());
+    format!("{date} {hour:02}:{minute:02}:{second:02}.{ms:03} UTC")
 }
 
 #[cfg(test)]
