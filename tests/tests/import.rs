@@ -266,6 +266,7 @@ fn logs_of_runs_become_a_dataset_to_train_on() {
     assert_eq!(found["frames"], dataset.len());
     let expected = serde_json::json!({
         "arms": 1, "cameras": ["endoscope"], "episodes": 2, "frames": dataset.len(), "by_hand": 0, "left_out": 0,
+        "discarded": [],
     });
     assert_eq!(found, expected);
     let trained = trocar()
