@@ -287,12 +287,7 @@ impl Drain {
     fn close(mut self) -> Result<LogCounts, LogError> {
         let outcome = self.outcome.try_recv().ok();
         if let Some(RunOutcome { reason, said, .. }) = &outcome {
-            let said = if said.is_empty() {
-                String::new()
-            } else {
-                format!("; {said}")
-            };
-            let text = format!("the run ended: {reason}{said}");
+            let text = format!("the run ended: {reason}{}", said.clause());
             let result = self.writer.event(self.now, Level::Info, text);
             self.note(result);
         }

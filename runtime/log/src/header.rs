@@ -117,6 +117,16 @@ impl RunNote {
     pub const fn is_empty(&self) -> bool {
         self.mark.is_none() && self.label.is_empty()
     }
+
+    /// What was said, to end a sentence with, such as `; marked success`; empty if nothing was said.
+    #[must_use]
+    pub fn clause(&self) -> String {
+        if self.is_empty() {
+            String::new()
+        } else {
+            format!("; {self}")
+        }
+    }
 }
 
 /// What the logger wrote and what it had to leave out.

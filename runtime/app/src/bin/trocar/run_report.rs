@@ -15,11 +15,7 @@ pub(crate) fn report_run(summary: &RunSummary) {
         Some(false) => format!("{}: failure ({})", summary.task, summary.reason),
         None => summary.reason.clone(),
     };
-    let said = if summary.said.is_empty() {
-        String::new()
-    } else {
-        format!("; {}", summary.said)
-    };
+    let said = summary.said.clause();
     console::result(&format!("{verdict} after {:.2} s{said}", summary.seconds));
     console::result(&format!(
         "  controller tick: p50 {:.1} us, p99 {:.1} us, max {:.1} us over {} ticks",
@@ -52,13 +48,9 @@ pub(crate) fn report_run(summary: &RunSummary) {
 
 /// What the pages of a run are told last.
 pub(crate) fn last_words(args: &RunArgs, summary: &RunSummary) -> String {
-    let said = Some(summary.said.to_string()).filter(|_| !summary.said.is_empty());
-    let words = [
-        Some(summary.reason.clone()),
-        said,
-        import_hint(args, summary),
-    ];
-    words.into_iter().flatten().collect::<Vec<_>>().join("; ")
+    let hint = import_hint(args, summary);
+    let hint = hint.map_or_else(String::new, |hint| format!("; {hint}"));
+    format!("{}{}{hint}", summary.reason, summary.said.clause())
 }
 
 /// Where the log of a robot's run is that was asked for, and what makes a dataset of it; only the first of a log that makes none.
