@@ -9,6 +9,11 @@ use crate::{JointVector, SafeTail, TimeNs};
 /// Names of the arms of a run in topics, logs and datasets, in their order; the first is the one that every run has.
 pub const ARM_NAMES: [&str; 2] = ["psm1", "psm2"];
 
+/// The names of the first `count` arms: those of a run with so many.
+pub fn arm_names(count: usize) -> impl Iterator<Item = &'static str> {
+    ARM_NAMES.into_iter().take(count)
+}
+
 /// How far beyond an axis's mechanical range a measurement is believed, rad, and m for the insertion.
 const BELIEVED_RAD: f64 = 0.2;
 const BELIEVED_M: f64 = 0.02;

@@ -15,7 +15,7 @@ pub mod rig;
 pub mod tail;
 pub mod time;
 
-pub use arm::{ARM_NAMES, Arm, ArmCommand, ArmError, ArmState};
+pub use arm::{ARM_NAMES, Arm, ArmCommand, ArmError, ArmState, arm_names};
 pub use camera::{CameraFrame, Distortion, FrameRef, Intrinsics};
 pub use chunk::{Chunk, TipTarget};
 pub use joints::{JOINT_COUNT, JointVector, Pose};

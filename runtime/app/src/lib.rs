@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 pub mod console;
+pub mod digest;
 pub mod doctor;
 pub mod histogram;
 pub mod mailbox;

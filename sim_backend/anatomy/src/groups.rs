@@ -7,8 +7,6 @@ use serde::Deserialize;
 
 use hal::config::{ConfigError, Source};
 
-use crate::texture::Pattern;
-
 /// Most groups of a patient: with the background, a set of them fits 32 bits.
 const GROUPS_MAX: usize = 31;
 
@@ -30,6 +28,22 @@ const TABLES: [(&str, &str, &str); 3] = [
         include_str!("../../../config/anatomy/group_numbers.toml"),
     ),
 ];
+
+/// What the surface of a tissue shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Pattern {
+    /// Lobules, as of a liver.
+    Parenchyma,
+    /// A thin skin with vessels, as of a bowel.
+    Serosa,
+    /// Fibres along the body.
+    Muscle,
+    /// Bone under its periosteum.
+    Bone,
+    /// Skin, walls of vessels: hardly any.
+    Plain,
+}
 
 /// A tissue group: one mesh, one material.
 #[derive(Clone, Debug, Deserialize)]

@@ -10,31 +10,14 @@ mod tests;
 use image::{ExtendedColorType, ImageEncoder as _, ImageError, codecs::png::PngEncoder};
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
-use serde::Deserialize;
 
-use crate::groups::Group;
+use crate::groups::{Group, Pattern};
 use crate::mesh::GroupMesh;
 use crate::number::{floor_to, real};
 use noise::{domain_warped, fractal, noise, smoothstep, worley};
 
 /// Smallest and largest side, pixels.
 pub const SIDE_PX: [u32; 2] = [16, 2048];
-
-/// What the surface of a tissue shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Pattern {
-    /// Lobules, as of a liver.
-    Parenchyma,
-    /// A thin skin with vessels, as of a bowel.
-    Serosa,
-    /// Fibres along the body.
-    Muscle,
-    /// Bone under its periosteum.
-    Bone,
-    /// Skin, walls of vessels: hardly any.
-    Plain,
-}
 
 /// Dark blood in the vessels of a serosa, linear RGB.
 const BLOOD: [f64; 3] = [0.24, 0.015, 0.015];

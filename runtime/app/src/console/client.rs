@@ -17,7 +17,7 @@ use tokio::time::{interval, timeout};
 use super::by_hand;
 use super::dataset_view::DatasetView;
 use super::log_view::LogView;
-use super::pictures::Stream;
+use super::drawn::Stream;
 use super::request::{Request, TokenBucket, command};
 use super::seats::{Seat, Taken};
 use super::shared::Shared;

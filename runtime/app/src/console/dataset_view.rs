@@ -4,7 +4,7 @@ use std::path::Path;
 
 use axum::body::Bytes;
 use hal::joints::ROLL;
-use hal::{ARM_NAMES, JointVector, TimeNs};
+use hal::{JointVector, TimeNs, arm_names};
 use serde::Serialize;
 use serde_json::Value;
 use trocar_control::ControlConfig;
@@ -17,7 +17,7 @@ use trocar_tasks::task::TaskFiles;
 
 use super::dataset_scene::DatasetScene;
 use super::facts::{AxisRange, EpisodeFacts, EventFacts, Facts, OfDataset};
-use super::pictures::{Drawn, Pixels, Plane, Stream};
+use super::drawn::{Drawn, Pixels, Plane, Stream};
 use super::{encode, path};
 use crate::session::{PolicyChoice, SessionError, Setup};
 
@@ -140,7 +140,7 @@ impl DatasetView {
         let episode = self.dataset.episodes().get(index)?;
         let within = frame - episode.start;
         let by_hand = self.by_hand.get(index).and_then(|flags| flags.get(within));
-        let arms = ARM_NAMES.into_iter().take(self.dataset.arms()).enumerate();
+        let arms = arm_names(self.dataset.arms()).enumerate();
         let last = episode.start + episode.len - 1;
         let paths = self.scene.as_ref().map(|scene| {
             let end = last.min(frame + self.path_frames());
@@ -250,7 +250,7 @@ fn facts(
     };
     let recorded = |key: &str| notes.recording.as_ref().and_then(|note| note[key].as_str());
     let source = recorded("source").unwrap_or_default();
-    let arms = ARM_NAMES.into_iter().take(dataset.arms());
+    let arms = arm_names(dataset.arms());
     let ranges = || (0..STATE_WIDTH).map(|axis| range(dataset, axis)).collect();
     let axes = limits.map_or_else(ranges, AxisRange::limits);
     let title = (dataset.task(), source);

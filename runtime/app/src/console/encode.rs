@@ -4,7 +4,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 
-use super::pictures::{Drawn, Pixels, Stream};
+use super::drawn::{Drawn, Pixels, Stream};
 use hal::TimeNs;
 
 /// Bytes before the image: camera, plane, two that are 0, a count of 4 that is 0, and seconds as a double, little endian.
@@ -131,7 +131,7 @@ fn id_colour(id: u8) -> [u8; 3] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::pictures::Plane;
+    use super::super::drawn::Plane;
     use super::*;
 
     fn drawn(plane: Plane, pixels: Pixels) -> Drawn {

@@ -22,7 +22,7 @@ use tokio::time::interval;
 use trocar_log::live;
 
 use super::encode::HEAD;
-use super::pictures::{Plane, Stream};
+use super::drawn::{Plane, Stream};
 use super::request::TokenBucket;
 use super::scene::{self, Shapes};
 use super::seats::Seat;

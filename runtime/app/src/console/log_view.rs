@@ -1,12 +1,11 @@
 //! A log as pages see it: states of all its ticks, recomputed by a controller of the logged configuration, its images, its scene, and what
 //! happened.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use axum::body::Bytes;
 use hal::config::Source;
-use hal::{ARM_NAMES, Chunk, Intrinsics, PerArm, Pose, TICK_NS, TimeNs};
+use hal::{ARM_NAMES, Chunk, PerArm, TICK_NS, TimeNs};
 use rtrb::RingBuffer;
 use trocar_control::{AnyController, ControlConfig, OperatingState};
 use trocar_log::live;
@@ -15,29 +14,19 @@ use trocar_log::{
     BusesRecord, LogEnd, LoggedItem, RunHeader, Step, TickRecord, read_items, read_steps,
 };
 
+use super::drawn::{Plane, Stream};
 use super::encode;
 use super::facts::{EndFacts, EventFacts, Facts};
+use super::log_images::Images;
 use super::log_messages::LogMessages;
 use super::log_scene::LogScene;
-use super::path::{Lenses, paths};
-use super::pictures::{Plane, Stream};
+use super::log_states::States;
+use super::path::paths;
 use super::state::{State, refusal};
 use super::tap::{ControlTap, seconds};
 use super::viewers::Message;
 use crate::mailbox::mailbox;
 use crate::session::SessionError;
-
-/// Ticks from one state that is kept to the next, at first.
-const EVERY_TICKS: u64 = 20;
-
-/// Bytes of states that are kept, of some ten minutes of one arm, and of scenes; of longer logs they are further apart.
-const STATE_BYTES_MAX: usize = 64 << 20;
-
-/// One that is longer, bytes, is no state, scene or bus of ours, and let go.
-const STATE_LEN_MAX: usize = 64 << 10;
-
-/// Bytes of images that are kept; of more, every second one goes.
-const IMAGE_BYTES_MAX: usize = 256 << 20;
 
 /// Events that are told.
 const EVENTS_MAX: usize = 2000;
@@ -220,181 +209,6 @@ struct Seen {
     /// Messages of the scene, and of the buses.
     scenes: States,
     buses: States,
-}
-
-/// Images by camera, in the order in which cameras first come.
-#[derive(Debug, Default)]
-struct Images {
-    cameras: Vec<LoggedCamera>,
-    bytes: usize,
-    /// Of so many images one is kept.
-    stride: u64,
-    seen: u64,
-}
-
-/// A camera of a log.
-#[derive(Debug, Default)]
-struct LoggedCamera {
-    name: String,
-    images: BTreeMap<TimeNs, Bytes>,
-    /// Through what it saw and from where, as often as that changed.
-    views: BTreeMap<TimeNs, (Intrinsics, Pose)>,
-}
-
-impl Images {
-    fn cameras(&self) -> Vec<String> {
-        let cameras = self.cameras.iter();
-        cameras.map(|camera| camera.name.clone()).collect()
-    }
-
-    /// The camera `name`, new if it was not heard of before, with its place.
-    fn camera(&mut self, name: &str) -> (usize, &mut LoggedCamera) {
-        let known = self.cameras.iter().position(|camera| camera.name == name);
-        let index = known.unwrap_or_else(|| {
-            self.cameras.push(LoggedCamera {
-                name: name.to_owned(),
-                ..LoggedCamera::default()
-            });
-            self.cameras.len() - 1
-        });
-        (index, &mut self.cameras[index])
-    }
-
-    fn keep_view(&mut self, camera: &str, at: TimeNs, view: (Intrinsics, Pose)) {
-        let (_, camera) = self.camera(camera);
-        let before = camera.views.last_key_value();
-        if before.is_none_or(|(_, before)| *before != view) {
-            camera.views.insert(at, view);
-        }
-    }
-
-    /// The lenses of all cameras at that time, and where they were.
-    fn lenses(&self, at: TimeNs) -> Lenses {
-        let views = (0..=u8::MAX)
-            .zip(&self.cameras)
-            .filter_map(|(index, camera)| {
-                let before = camera.views.range(..=at).next_back();
-                let (_, view) = before.or_else(|| camera.views.first_key_value())?;
-                Some((index, *view))
-            });
-        views.collect()
-    }
-
-    fn keep(&mut self, camera: &str, at: TimeNs, image: &[u8]) {
-        self.seen += 1;
-        let (seen, stride) = (self.seen, self.stride.max(1));
-        let (index, LoggedCamera { images: kept, .. }) = self.camera(camera);
-        let Ok(number) = u8::try_from(index) else {
-            return;
-        };
-        if !kept.is_empty() && !seen.is_multiple_of(stride) {
-            return;
-        }
-        let stream = Stream {
-            camera: number,
-            plane: Plane::Colour,
-        };
-        let mut message = encode::head(stream, at);
-        message.extend_from_slice(image);
-        let bytes = message.len();
-        kept.insert(at, message.into());
-        self.bytes += bytes;
-        if self.bytes > IMAGE_BYTES_MAX {
-            self.thin_out();
-        }
-    }
-
-    /// Lets every second image go.
-    fn thin_out(&mut self) {
-        self.stride = 2 * self.stride.max(1);
-        for camera in &mut self.cameras {
-            let mut index = 0;
-            camera.images.retain(|_, _| {
-                index += 1;
-                index % 2 == 1
-            });
-        }
-        let cameras = self.cameras.iter();
-        let images = cameras.flat_map(|camera| camera.images.values());
-        self.bytes = images.map(Bytes::len).sum();
-    }
-
-    fn at(&self, camera: u8, at: TimeNs) -> Option<(u64, Bytes)> {
-        let kept = &self.cameras.get(usize::from(camera))?.images;
-        let before = kept.range(..=at).next_back();
-        let (stamp, image) = before.or_else(|| kept.first_key_value())?;
-        Some((stamp.0 + 1, image.clone()))
-    }
-}
-
-/// States, scenes or what was said of buses, by tick, a bounded number of bytes.
-#[derive(Debug)]
-pub(super) struct States {
-    kept: BTreeMap<u64, Box<str>>,
-    bytes: usize,
-    every_ticks: u64,
-}
-
-impl Default for States {
-    fn default() -> Self {
-        Self {
-            kept: BTreeMap::new(),
-            bytes: 0,
-            every_ticks: EVERY_TICKS,
-        }
-    }
-}
-
-impl States {
-    pub(super) fn is_empty(&self) -> bool {
-        self.kept.is_empty()
-    }
-
-    /// What was at `tick`, or the nearest before it, or else the first; with its own tick.
-    pub(super) fn at(&self, tick: u64) -> Option<(u64, &str)> {
-        let before = self.kept.range(..=tick).next_back();
-        let (tick, state) = before.or_else(|| self.kept.first_key_value())?;
-        Some((*tick, state))
-    }
-
-    /// What was at `tick`, or the nearest before it.
-    fn before(&self, tick: u64) -> Option<&str> {
-        let before = self.kept.range(..=tick).next_back();
-        before.map(|(_, state)| &**state)
-    }
-
-    /// Keeps what was at `tick`, unless it is too near to what was kept before.
-    fn offer(&mut self, tick: u64, state: &str) {
-        if state.len() <= STATE_LEN_MAX && self.wants(tick) {
-            self.keep(tick, state.into());
-        }
-    }
-
-    fn wants(&self, tick: u64) -> bool {
-        let newest = self.kept.last_key_value();
-        newest.is_none_or(|(newest, _)| tick >= newest.saturating_add(self.every_ticks))
-    }
-
-    pub(super) fn keep(&mut self, tick: u64, state: Box<str>) {
-        self.bytes += state.len();
-        self.kept.insert(tick, state);
-        if self.bytes > STATE_BYTES_MAX {
-            self.thin_out();
-        }
-    }
-
-    /// Lets those go that are less than twice as far apart as before.
-    fn thin_out(&mut self) {
-        self.every_ticks = self.every_ticks.saturating_mul(2);
-        let (every_ticks, mut newest) = (self.every_ticks, None);
-        self.kept.retain(|tick, _| {
-            let keeps =
-                newest.is_none_or(|newest| *tick >= u64::saturating_add(newest, every_ticks));
-            newest = if keeps { Some(*tick) } else { newest };
-            keeps
-        });
-        self.bytes = self.kept.values().map(|state| state.len()).sum();
-    }
 }
 
 /// The run as a controller computes it again.
@@ -793,45 +607,5 @@ mod tests {
             plane: Plane::Depth,
         };
         assert!(view.picture(depth, 0.3).unwrap().is_none());
-    }
-
-    /// Where a camera was when a chunk came is the newest that the log says of it.
-    #[test]
-    fn a_cameras_view_is_the_newest_before() {
-        let lens = Intrinsics::from_vertical_fov(8, 8, 1.0);
-        let mut images = Images::default();
-        for (ms, x) in [(0, 0.0), (40, 0.0), (80, 1.0)] {
-            let at = TimeNs(ms * 1_000_000);
-            images.keep_view("wrist", at, (lens, Pose::translation(x, 0.0, 0.0)));
-            images.keep("wrist", at, JPEG);
-        }
-        assert_eq!(images.cameras[0].views.len(), 2, "what stays is kept once");
-        assert_eq!(images.cameras[0].images.len(), 3);
-        for (ms, x) in [(0, 0.0), (79, 0.0), (80, 1.0), (500, 1.0)] {
-            let lenses = images.lenses(TimeNs(ms * 1_000_000));
-            let (_, pose) = lenses[&0];
-            assert!((pose.translation.x - x).abs() < 1e-12, "{ms}");
-        }
-    }
-
-    /// A log of hours takes no more than one of minutes: its states are further apart, from its beginning to its end.
-    #[test]
-    fn states_of_a_long_log_take_bounded_memory() {
-        let mut states = States::default();
-        let state = "x".repeat(64 << 10);
-        let last = EVERY_TICKS * 5000;
-        for tick in 0..=last {
-            if states.wants(tick) {
-                states.keep(tick, state.as_str().into());
-            }
-        }
-        assert!(states.bytes <= STATE_BYTES_MAX && states.bytes > STATE_BYTES_MAX / 4);
-        assert_eq!(states.bytes, states.kept.len() * state.len());
-        let (first, newest) = (states.kept.first_key_value(), states.kept.last_key_value());
-        assert_eq!(first.map(|(tick, _)| *tick), Some(0));
-        assert!(newest.is_some_and(|(tick, _)| last - tick < states.every_ticks));
-        let ticks: Vec<u64> = states.kept.keys().copied().collect();
-        let apart = ticks.windows(2).map(|two| two[1] - two[0]);
-        assert_eq!(apart.max(), Some(states.every_ticks));
     }
 }

@@ -3,7 +3,7 @@
 use hal::TimeNs;
 use serde::Deserialize;
 
-use super::pictures::Stream;
+use super::drawn::Stream;
 use crate::session::operator::Command;
 use crate::session::teleop::{EpisodeCommand, HandsMessage};
 use trocar_log::RunMark;
@@ -158,7 +158,7 @@ impl TokenBucket {
 mod tests {
     use serde_json::json;
 
-    use super::super::pictures::Plane;
+    use super::super::drawn::Plane;
     use super::*;
 
     #[test]

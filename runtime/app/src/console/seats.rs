@@ -5,7 +5,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::watch;
 
-use super::pictures::{Board, Stream};
+use super::drawn::Stream;
+use super::pictures::Board;
 
 /// Pages and viewers at a time. Each takes a connection, some buffers, and its part of the server's one thread, at normal priority.
 pub(super) const PAGES_MAX: usize = 64;

@@ -279,6 +279,16 @@ pub fn interrupt_process(id: u32) -> io::Result<()> {
     checked(unsafe { libc::kill(id, libc::SIGINT) })
 }
 
+/// Greatest memory of the process `id` so far, bytes.
+pub(crate) fn peak_memory(id: u32) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{id}/status")).ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib * 1024)
+}
+
 /// Makes this process get SIGINT when the thread that started it ends, however that happens.
 ///
 /// # Errors

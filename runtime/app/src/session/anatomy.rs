@@ -10,8 +10,7 @@ use trocar_anatomy::groups::Groups;
 use trocar_anatomy::phantom::{self, Phantom, Size};
 
 use super::{SessionError, outputs};
-use crate::rt::MonotonicClock;
-use crate::study::child::peak_memory;
+use crate::rt::{MonotonicClock, peak_memory};
 
 /// What a stage took.
 #[derive(Clone, Debug, Serialize)]

@@ -12,7 +12,7 @@
 //!
 //! In real time the same topics are written and read by the threads of the run, and nobody waits for a reply.
 
-use hal::{ARM_NAMES, Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs};
+use hal::{ARM_NAMES, Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs, arm_names};
 use trocar_topics::{
     ArmReport, ArmStateTopic, CameraTopic, ChunkTopic, FrameHeader, FramePublisher, PolicyReply,
     PolicyStage, Publisher, Reply, RunCommand, RunControl, Subscriber, TopicError,
@@ -68,7 +68,7 @@ impl ExternalPolicy {
         };
         let link = ExternalLink::open(choice.topics(), choice.within_s, &about)?;
         check_wanted(setup, &link.cameras)?;
-        let names = || ARM_NAMES.into_iter().take(arms);
+        let names = || arm_names(arms);
         let reports = names().map(|arm| ArmStateTopic::publisher(&link.node, arm));
         let chunks = names().map(|arm| ChunkTopic::subscriber(&link.node, arm));
         Ok(Self {

@@ -7,7 +7,7 @@ use trocar_nets::checkpoint::{Recipe, WEIGHTS, load_recipe};
 use super::external::{self, ExternalChoice};
 use super::teleop::{OperatorFigures, TIME_FACTOR};
 use super::{SessionError, policies};
-use crate::study::address::hash_file;
+use crate::digest::hash_file;
 
 /// The name of the simulated operator.
 pub(super) const OPERATOR: &str = "simulated-operator";

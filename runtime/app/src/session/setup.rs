@@ -17,7 +17,7 @@ use super::source::ChunkSource;
 use super::steps::PolicySteps;
 use super::teleop::{SimulatedOperator, rcms_from_view};
 use super::{Robot, SessionError, tasks};
-use crate::study::address::hash_text;
+use crate::digest::hash_text;
 use trocar_control::{AnyController, ControlConfig};
 
 /// Everything that a session is configured by.

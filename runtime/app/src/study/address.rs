@@ -1,11 +1,9 @@
-//! Addresses: the SHA-256 of everything that makes a cell, and of the files that it consists of.
-
-use std::fs::File;
-use std::io::{self, Read};
-use std::path::Path;
+//! Addresses: the SHA-256 of everything that makes a cell.
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+
+use crate::digest::hexadecimal;
 
 /// Hexadecimal digits of an address.
 const DIGITS: usize = 20;
@@ -83,47 +81,11 @@ fn add_text(hash: &mut Sha256, text: &str) {
     hash.update(text);
 }
 
-fn hexadecimal(hash: Sha256) -> String {
-    format!("{:x}", hash.finalize())
-}
-
-/// SHA-256 of `text`, hexadecimal.
-#[must_use]
-pub fn hash_text(text: &str) -> String {
-    let mut hash = Sha256::new();
-    hash.update(text);
-    hexadecimal(hash)
-}
-
-/// SHA-256 of the file at `path`, hexadecimal.
-///
-/// # Errors
-/// The system's.
-pub fn hash_file(path: &Path) -> io::Result<String> {
-    let mut file = File::open(path)?;
-    let mut hash = Sha256::new();
-    let mut buffer = vec![0_u8; 1 << 20];
-    loop {
-        let count = file.read(&mut buffer)?;
-        if count == 0 {
-            return Ok(hexadecimal(hash));
-        }
-        hash.update(&buffer[..count]);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use serde_json::json;
 
     use super::*;
-
-    #[test]
-    fn hashes_match_the_published_test_vectors() {
-        // FIPS 180-2, appendix B.1.
-        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(hash_text("abc"), expected);
-    }
 
     #[test]
     fn order_of_keys_does_not_matter_and_every_value_does() {

@@ -78,7 +78,7 @@ impl Running {
     /// # Errors
     /// The system's.
     pub fn poll(&mut self) -> io::Result<Option<Ended>> {
-        let memory = peak_memory(self.child.id()).unwrap_or(0);
+        let memory = rt::peak_memory(self.child.id()).unwrap_or(0);
         self.memory_bytes = self.memory_bytes.max(memory);
         let status = self.child.try_wait()?;
         Ok(status.map(|status| Ended {
@@ -114,16 +114,6 @@ fn append_output(command: &mut Command, log: &Path) -> io::Result<()> {
         .stdout(Stdio::from(output.try_clone()?))
         .stderr(Stdio::from(output));
     Ok(())
-}
-
-/// Greatest memory of the process `id` so far, bytes.
-pub(crate) fn peak_memory(id: u32) -> Option<u64> {
-    let status = fs::read_to_string(format!("/proc/{id}/status")).ok()?;
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kib * 1024)
 }
 
 /// In a child: ends with SIGINT when the study that started it ends, however that happens.

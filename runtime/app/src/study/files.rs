@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::StudyError;
-use super::address::hash_file;
+use crate::digest::hash_file;
 
 /// A file of a cell as it was when the cell was done.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

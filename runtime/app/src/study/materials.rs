@@ -7,9 +7,9 @@ use hal::config::Source;
 use trocar_tasks::task::patient_file;
 
 use super::StudyError;
-use super::address::{hash_file, hash_text};
 use super::file::{PolicyKind, StudyFile};
 use super::job::TaskInput;
+use crate::digest::{hash_file, hash_text};
 use crate::session::tasks;
 use trocar_control::ControlConfig;
 

@@ -186,7 +186,7 @@ impl Study {
         }
         self.store.keep_study(&self.plan.record)?;
         let executable = &self.options.executable;
-        let hash = super::address::hash_file(executable);
+        let hash = crate::digest::hash_file(executable);
         let hash = hash.map_err(|error| StudyError::io(executable, error))?;
         run::run(
             &self.plan,

@@ -6,11 +6,12 @@ use indicatif::ProgressBar;
 use trocar::rt::MonotonicClock;
 use trocar::session::SessionError;
 use trocar::session::run::write_json;
+use trocar::session::training::evaluations::BEST;
+use trocar::session::training::pace::TrainingStatus;
 use trocar::session::training::{
-    self, CameraChoice, NetworkChoice, TrainingOptions, TrainingProgress, TrainingResult,
+    self, CameraChoice, NetworkChoice, TrainingEval, TrainingOptions, TrainingProgress,
+    TrainingResult,
 };
-use trocar::session::training_eval::{BEST, TrainingEval};
-use trocar::session::training_pace::TrainingStatus;
 use trocar_nets::act::BackboneNorm;
 
 use crate::commands::{Done, device};

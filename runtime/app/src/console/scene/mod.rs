@@ -22,7 +22,8 @@ use trocar_world::ArmBodies;
 
 use super::encode;
 use super::path::Lenses;
-use super::pictures::{Board, Stream};
+use super::drawn::Stream;
+use super::pictures::Board;
 use glb::Writer;
 pub(super) use shapes::Shapes;
 

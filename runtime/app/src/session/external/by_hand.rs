@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process;
 
-use hal::{ARM_NAMES, Chunk, Policy as _, PolicyError, TimeNs};
+use hal::{Chunk, Policy as _, PolicyError, TimeNs, arm_names};
 use trocar_nets::compute::Compute;
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_topics::{
@@ -105,7 +105,7 @@ impl Server {
         let turns = QuerySchedule::of(&network);
         let hello = hello(options, &network, turns.steps())?;
         let node = TopicNode::join(&options.name)?;
-        let arms = ARM_NAMES.into_iter().take(network.recipe().arms);
+        let arms = arm_names(network.recipe().arms);
         let server = Self {
             hello: PolicyHelloTopic::publisher(&node, FIRST_ARM)?,
             control: RunControlTopic::subscriber(&node, FIRST_ARM)?,

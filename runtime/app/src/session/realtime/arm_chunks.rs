@@ -1,11 +1,9 @@
 //! The answers of a policy process, put together again from the topics of the arms.
 
-use hal::Chunk;
+use hal::{Chunk, PerArm, arm_names};
 use trocar_topics::{ChunkTopic, Subscriber, TopicNode};
 
-use super::policy_process::arm_names;
 use crate::session::SessionError;
-use hal::PerArm;
 
 /// The chunk topics of all arms. Each is read for itself, so one may be a step behind another.
 pub(super) struct ArmChunks {

@@ -4,11 +4,10 @@
 use std::thread;
 use std::time::Duration;
 
-use hal::{ArmObservation, PerArm};
+use hal::{ArmObservation, PerArm, arm_names};
 use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_topics::{ArmReport, ArmStateTopic, Publisher, TopicNode};
 
-use super::policy_process::arm_names;
 use super::scene_topics::{SceneForCameras, SceneForPages, Snapshot, show_pages};
 use super::signals::{EndRunOnDrop, Signals};
 use crate::mailbox::MailboxReader;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use trocar_nets::checkpoint::is_read;
 
 use crate::session::SessionError;
-use crate::study::address::hash_file;
+use crate::digest::hash_file;
 
 /// A checkpoint's files as they were.
 pub(super) struct CheckpointFiles {

@@ -2,14 +2,13 @@
 
 use std::collections::VecDeque;
 
-use hal::{ArmObservation, FrameRef, Observation, Policy as _, TimeNs};
+use hal::{ArmObservation, FrameRef, Observation, Policy as _, TimeNs, arm_names};
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_topics::{
     ArmReport, ArmStateTopic, CameraTopic, FrameSubscriber, FrameView, Message as _, Subscriber,
     TopicNode,
 };
 
-use super::policy_process::arm_names;
 use crate::session::SessionError;
 use crate::session::source::{camera_names, precedes_query};
 

@@ -4,7 +4,7 @@ use std::os::unix::process::parent_id;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use hal::{ARM_NAMES, Chunk, Policy};
+use hal::{ARM_NAMES, Chunk, Policy, arm_names};
 use trocar_nets::compute::Compute;
 use trocar_nets::loaded_policy::LoadedPolicy;
 use trocar_topics::{
@@ -19,11 +19,6 @@ use crate::session::external::LOOK_NS;
 
 /// The arm that the topics which all arms share are named after.
 pub(super) const FIRST_ARM: &str = ARM_NAMES[0];
-
-/// The names of a run's arms, after which their topics are called.
-pub(super) fn arm_names(count: usize) -> impl Iterator<Item = &'static str> {
-    ARM_NAMES.into_iter().take(count)
-}
 
 /// Silence after which a sign of life is given all the same, ns.
 pub(super) const STATUS_EVERY_NS: u64 = 50_000_000;

@@ -7,7 +7,7 @@ use trocar_tasks::task::{Outcome, Variation};
 
 use super::*;
 use crate::session::episode::NoObserver;
-use crate::session::record_notes::DISTURBED_TIME_FACTOR;
+use crate::session::record::notes::DISTURBED_TIME_FACTOR;
 use crate::session::scene_options::SceneOptions;
 
 /// The needle lift with small pictures, `varied`.

@@ -4,7 +4,6 @@ use trocar_tasks::scene::SceneSnapshot;
 use trocar_topics::{CameraTopic, FrameSubscriber, SceneReport, Subscriber, TopicNode, Verdict};
 
 use super::super::scene_topics::WorldTopics;
-use super::bring_up::uninterrupted;
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
 use crate::session::source::STEP_NS;
@@ -226,6 +225,15 @@ pub(in super::super) fn cameras(
         found.push((name.clone(), topic));
     }
     Ok(found)
+}
+
+/// Whoever interrupts a run before its drives have torque does not want them to get it.
+pub(super) fn uninterrupted() -> Result<(), SessionError> {
+    if rt::interrupted() {
+        let what = "interrupted before the drives were enabled";
+        return Err(SessionError::RealTime(what.to_owned()));
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -11,8 +11,8 @@ use trocar_canopen::master::{ArmPlan, BringUpError, CanConfig, Homed, Offline, S
 use trocar_canopen::socket::SocketBus;
 use trocar_topics::{SceneReport, Verdict};
 
-use super::awaited::{PATIENCE_NS, PrintLine};
-use super::can::CanOptions;
+use super::awaited::{PATIENCE_NS, PrintLine, uninterrupted};
+use super::options::CanOptions;
 use crate::rig::can_clock::CanClock;
 use crate::rt::{self, MonotonicClock};
 use crate::session::{Plan, SessionError};
@@ -178,15 +178,6 @@ fn listen(can: &CanOptions, ready: &mut [ReadyArm], done: &AtomicBool) -> Result
             arm.listen().map_err(|error| failed(can, index, &error))?;
         }
         rt::sleep_ns(POLL_NS);
-    }
-    Ok(())
-}
-
-/// Whoever interrupts a run before its drives have torque does not want them to get it.
-pub(super) fn uninterrupted() -> Result<(), SessionError> {
-    if rt::interrupted() {
-        let what = "interrupted before the drives were enabled";
-        return Err(SessionError::RealTime(what.to_owned()));
     }
     Ok(())
 }

@@ -1,9 +1,8 @@
 //! Arms whose drives are on CAN. The bring-up ends in the control thread, which must not let the SYNC stop from then on. A fault of any drive or bus
 //! stops all drives of its arm.
 
-use hal::config::Source;
 use hal::{PerArm, TICK_NS};
-use trocar_canopen::master::{BringUpError, CanConfig, Permission, enable_together};
+use trocar_canopen::master::{BringUpError, Permission, enable_together};
 use trocar_canopen::socket::SocketBus;
 use trocar_topics::{SceneReport, Subscriber};
 
@@ -11,6 +10,7 @@ use super::super::signals::Signals;
 use super::ArmLink;
 use super::awaited::{self, PrintLine};
 use super::bring_up::{ReadyArm, bring_up, check, failed};
+use super::options::CanOptions;
 use super::summary::summary;
 use crate::mailbox::MailboxWriter;
 use crate::rig::can::{CanRig, Noticed};
@@ -18,29 +18,6 @@ use crate::rig::can_clock::CanClock;
 use crate::rt::{self, MonotonicClock, Periodic};
 use crate::session::summary::CanSummary;
 use crate::session::{Robot, SessionError, can_interfaces};
-
-/// Where the arms are and where their world, or their cameras, show themselves.
-#[derive(Clone, Debug)]
-pub struct CanOptions {
-    /// Nodes and buses.
-    pub config: CanConfig,
-    /// The name of the topics of the world, or of the cameras.
-    pub topics: String,
-}
-
-impl CanOptions {
-    /// Reads nodes and buses from `source`; also gives their text, for the log.
-    ///
-    /// # Errors
-    /// [`SessionError::Config`].
-    pub fn load(source: &Source, topics: &str) -> Result<(Self, String), SessionError> {
-        let options = Self {
-            config: CanConfig::load(source)?,
-            topics: topics.to_owned(),
-        };
-        Ok((options, source.text().to_owned()))
-    }
-}
 
 impl ArmLink for CanOptions {
     type Opened = Vec<SocketBus<CanClock>>;

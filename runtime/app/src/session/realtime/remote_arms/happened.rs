@@ -1,10 +1,9 @@
 //! What happens to an arm on CAN and to its buses, and what the log says of it.
 
-use super::super::policy_process::arm_names;
 use super::super::signals::Signals;
 use crate::mailbox::MailboxReader;
 use crate::rig::can::{CanStatus, Noticed};
-use hal::PerArm;
+use hal::{PerArm, arm_names};
 use trocar_log::Level;
 
 impl CanStatus {

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use hal::{ArmObservation, ArmState, CameraFrame, Intrinsics, TimeNs};
+use hal::{ArmObservation, ArmState, CameraFrame, Intrinsics, PerArm, TimeNs, arm_names};
 use trocar_topics::{
     ArmReport, ArmStateTopic, CameraTopic, Events, FrameView, Publisher, SceneReport, Subscriber,
     TopicNode, Verdict,
@@ -11,7 +11,6 @@ use trocar_topics::{
 
 use super::super::by_hand::ByHand;
 use super::super::channels::{Local, ObserverChannels};
-use super::super::policy_process::arm_names;
 use super::super::scene_topics::{WorldForPages, show_pages};
 use super::super::shown::CameraPages;
 use super::super::signals::EndRunOnDrop;
@@ -22,7 +21,6 @@ use crate::session::SessionError;
 use crate::session::source::{Query, seen_arm};
 use crate::session::summary::TissueSummary;
 use crate::session::world_report::{scene_state, tissue};
-use hal::PerArm;
 
 /// Polling period for the control thread's news, which wakes nobody, ns; what the world shows every 40 ms does.
 const POLL_NS: u64 = 3_000_000;

@@ -4,7 +4,7 @@ use hal::ARM_NAMES;
 use trocar_canopen::master::Space;
 use trocar_canopen::master::axis::AxisHealth;
 
-use super::can::CanOptions;
+use super::options::CanOptions;
 use crate::rig::can::{BusArm, CanRig};
 use crate::session::summary::{CanArmSummary, CanBusSummary, CanSummary};
 

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use hal::{
     ARM_NAMES, ArmCommand, ArmState, JointVector, Measured, PerArm, Period, Rig, SafeTail,
-    Setpoint, TICK_NS, TimeNs,
+    Setpoint, TICK_NS, TimeNs, arm_names,
 };
 use rtrb::Consumer;
 use trocar_log::pre_faulted_queue;
@@ -17,7 +17,6 @@ use trocar_topics::{
     TopicError, TopicNode, arms_of,
 };
 
-use super::super::policy_process::arm_names;
 use super::super::signals::Signals;
 use super::ArmLink;
 use super::awaited::{PrintLine, await_it};

@@ -1,7 +1,7 @@
 //! Progress of a training.
 
-use super::score::Score;
-use super::training_pace::TrainingStatus;
+use super::pace::TrainingStatus;
+use crate::session::score::Score;
 
 /// Progress of a training.
 #[derive(Clone, Copy, Debug)]

@@ -3,8 +3,8 @@
 use trocar_data::dataset::Dataset;
 use trocar_nets::checkpoint::{DatasetPart, DatasetSummary};
 
-use super::SessionError;
-use super::training_options::{CameraChoice, NetworkChoice, TrainingOptions};
+use super::options::{CameraChoice, NetworkChoice, TrainingOptions};
+use crate::session::SessionError;
 
 /// The datasets, as the network sees them.
 ///

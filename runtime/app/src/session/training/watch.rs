@@ -3,21 +3,20 @@
 use std::path::Path;
 use std::{fs, io};
 
-use hal::TimeNs;
 use serde::{Deserialize, Serialize};
 use trocar_train::{
     AnyTrained, CurveRow, LossCurve, Progress, RunState, TrainError, TrainingObserver,
 };
 
-use super::SessionError;
-use super::score::Score;
-use super::tensorboard::EventFile;
-use super::training::TrainingOptions;
-use super::training_eval::{BEST, Evaluation, Evaluations};
-use super::training_pace::Pace;
-use super::training_progress::{OnProgress, TrainingProgress};
-use super::training_save::Saver;
-use crate::rt::{self, MonotonicClock};
+use super::evaluations::{BEST, Evaluation, Evaluations};
+use super::options::TrainingOptions;
+use super::pace::Pace;
+use super::progress::{OnProgress, TrainingProgress};
+use super::save::Saver;
+use crate::rt;
+use crate::session::SessionError;
+use crate::session::score::Score;
+use crate::session::tensorboard::EventFile;
 
 /// The state of a training that is not at its end, in the checkpoint's folder.
 pub(super) const STATE_FILE: &str = "training_state.safetensors";
@@ -66,33 +65,6 @@ pub(super) fn remove_state(folder: &Path) -> Result<(), SessionError> {
         return Ok(());
     }
     fs::remove_file(&file).map_err(|error| SessionError::output(&file, error))
-}
-
-/// How long a training has taken.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Stopwatch {
-    clock: MonotonicClock,
-    begun: TimeNs,
-    /// What it took before it was stopped the last time, s.
-    before: f64,
-}
-
-impl Stopwatch {
-    /// One that has run for `before` seconds.
-    pub(super) fn start(before: f64) -> Self {
-        let clock = MonotonicClock::new();
-        let begun = clock.now();
-        Self {
-            clock,
-            begun,
-            before,
-        }
-    }
-
-    /// Time since the start, s.
-    pub(super) fn seconds(&self) -> f64 {
-        self.before + TimeNs(self.clock.now().since(self.begun)).seconds()
-    }
 }
 
 /// Time between two steps that are reported, s. A report waits for the device.

@@ -8,22 +8,22 @@ use hal::{ArmObservation, CameraFrame, PerArm, TipTarget};
 use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::task::Outcome;
 
-use super::realtime::run_realtime;
-use super::record::{
+use super::notes::{ByHandNote, EpisodeNote, source};
+use super::{
     Attempt, Begun, Demonstration, RecordOptions, RecordSummary, StoredFrame, arm_frame,
 };
-use super::record_notes::{ByHandNote, EpisodeNote, source};
-use super::run::{INTERRUPTED, RunResult, STOPPED};
-use super::teleop::{self, DemonstrationStep, EpisodeCommand, Phase, Recording};
-use super::{Plan, SessionError, Setup};
 use crate::console::Console;
 use crate::rt;
+use crate::session::realtime::run_realtime;
+use crate::session::run::{INTERRUPTED, RunResult, STOPPED};
+use crate::session::teleop::{self, DemonstrationStep, EpisodeCommand, Phase, Recording};
+use crate::session::{Plan, SessionError, Setup};
 
 /// Records the episodes that a person does by hand on `console` until enough are kept; whatever else was done is reported. A signal, or the
 /// operator's stop, ends it with what there is.
 ///
 /// # Errors
-/// Those of [`record`](super::record::record), but that a person may fail as often as it takes; and those of a run in real time.
+/// Those of [`record`](super::record), but that a person may fail as often as it takes; and those of a run in real time.
 pub fn record_by_hand(
     plan: &Plan,
     options: &RecordOptions,

@@ -4,8 +4,8 @@ use trocar_nets::act::BackboneNorm;
 use trocar_nets::checkpoint::{BackboneWeights, Precision, SaveOptions};
 use trocar_train::Trainer;
 
-use super::SessionError;
-use super::training::{NetworkChoice, TrainingOptions};
+use super::options::{NetworkChoice, TrainingOptions};
+use crate::session::SessionError;
 
 /// Refuses choices that do not go together, before anything is read.
 pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {

@@ -8,12 +8,12 @@ use trocar_data::dataset::VideoCodec;
 use trocar_tasks::disturbance::Disturbance;
 use trocar_tasks::task::{Drawn, PatientPlacement, Variation};
 
-use super::policy_choice::OPERATOR;
-use super::record::{Attempt, RecordOptions};
-use super::source::ChunkSource;
-use super::teleop::{OperatorFigures, TeleopSummary};
-use super::{Plan, PolicyChoice, SessionError};
-use crate::study::address::hash_text;
+use super::{Attempt, RecordOptions};
+use crate::session::policy_choice::OPERATOR;
+use crate::session::source::ChunkSource;
+use crate::session::teleop::{OperatorFigures, TeleopSummary};
+use crate::session::{Plan, PolicyChoice, SessionError};
+use crate::digest::hash_text;
 
 /// By how much longer a disturbed demonstration may take than the task allows.
 pub const DISTURBED_TIME_FACTOR: u32 = 2;

@@ -3,9 +3,9 @@
 use serde_json::Value;
 use trocar_data::dataset::{DatasetSpec, DatasetWriter, Notes, Totals};
 
-use super::record::RecordOptions;
-use super::record_notes::{options_note, recording_note};
-use super::{Plan, SessionError, outputs};
+use super::RecordOptions;
+use super::notes::{options_note, recording_note};
+use crate::session::{Plan, SessionError, outputs};
 
 /// What a recording finds when it begins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

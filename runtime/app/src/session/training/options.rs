@@ -6,8 +6,6 @@ use serde::{Deserialize, Deserializer, Serialize};
 use tch::Device;
 use trocar_nets::act::BackboneNorm;
 
-use super::training_eval::TrainingEval;
-
 /// Which of the cameras the network sees, of several datasets' the first one's.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CameraChoice {
@@ -62,6 +60,23 @@ pub enum NetworkChoice {
     ActPc,
     /// DP3, from point clouds.
     Dp3,
+}
+
+/// How often a training is evaluated, and how.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TrainingEval {
+    /// Steps between two evaluations; there is one after the last step too.
+    pub every: u64,
+    /// The task, a name or a folder; the dataset's if not given.
+    pub task: Option<String>,
+    /// Trials of an evaluation.
+    pub trials: usize,
+    /// Seed of the first trial.
+    pub seed: u64,
+    /// Trials at a time.
+    pub jobs: usize,
+    /// Delay from observation to chunk, ms; the policy's own if not given.
+    pub latency_ms: Option<u64>,
 }
 
 /// What to train.

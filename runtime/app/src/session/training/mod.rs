@@ -1,5 +1,16 @@
 //! Training a policy on a dataset.
 
+mod backbone;
+mod clouds;
+mod data;
+pub mod evaluations;
+mod options;
+pub mod pace;
+mod progress;
+mod save;
+mod stopwatch;
+mod watch;
+
 use std::path::Path;
 
 use serde::Serialize;
@@ -9,16 +20,14 @@ use trocar_nets::act::{ActConfig, ActPreset};
 use trocar_nets::checkpoint::Variants;
 use trocar_train::{AnyTrained, Augmentation, TrainError, TrainOptions, TrainPrecision, Trainer};
 
+use self::evaluations::{Evaluation, Evaluations};
+pub use self::options::{CameraChoice, NetworkChoice, TrainingEval, TrainingOptions};
+pub use self::progress::{OnProgress, TrainingProgress};
+use self::save::{Made, Saver};
+use self::stopwatch::Stopwatch;
+use self::watch::{STATE_FILE, Watcher, read_state, remove_state, write_curve};
 use super::cloud_file::cloud_recipe;
-use super::training_eval::{Evaluation, Evaluations};
-pub use super::training_options::{CameraChoice, NetworkChoice, TrainingOptions};
-pub use super::training_progress::{OnProgress, TrainingProgress};
-use super::training_recipe::Made;
-use super::training_save::Saver;
-use super::training_watch::{
-    STATE_FILE, Stopwatch, Watcher, read_state, remove_state, write_curve,
-};
-use super::{SessionError, outputs, training_backbone, training_clouds, training_data};
+use super::{SessionError, outputs};
 use crate::rt;
 
 /// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the small preset, so that a fresh
@@ -51,7 +60,7 @@ pub struct TrainingResult {
     pub samples_per_second: Option<f64>,
     /// Evaluations along the way.
     pub evaluations: usize,
-    /// The best of them, whose weights are in the folder [`BEST`](super::training_eval::BEST) of the checkpoint's.
+    /// The best of them, whose weights are in the folder [`BEST`](evaluations::BEST) of the checkpoint's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub best: Option<Evaluation>,
 }
@@ -70,7 +79,7 @@ pub fn train(
 ) -> Result<TrainingResult, SessionError> {
     // Whatever is wrong with the options is said before anything is made.
     check(options)?;
-    let trainer = training_backbone::trainer(options)?;
+    let trainer = backbone::trainer(options)?;
     outputs::new_folder("--out", &options.out)?;
     let start = Start {
         trainer,
@@ -91,7 +100,7 @@ fn check_act(options: &TrainingOptions) -> Result<(), SessionError> {
 }
 
 /// `options`, if a training can have them.
-pub(super) fn sound(options: TrainOptions) -> Result<TrainOptions, SessionError> {
+fn sound(options: TrainOptions) -> Result<TrainOptions, SessionError> {
     match options.defect() {
         Some(defect) => Err(TrainError::Options(defect).into()),
         None => Ok(options),
@@ -100,7 +109,7 @@ pub(super) fn sound(options: TrainOptions) -> Result<TrainOptions, SessionError>
 
 /// Refuses options that can't be, of the command line and of a state that may be damaged alike.
 pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {
-    training_backbone::check(options)?;
+    backbone::check(options)?;
     if options.device.is_cuda() && !tch::Cuda::is_available() {
         let defect = "--device cuda: this libtorch sees no CUDA device";
         return Err(SessionError::BadArgument(defect.to_owned()));
@@ -108,12 +117,12 @@ pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {
     match options.network {
         NetworkChoice::Act => check_act(options)?,
         NetworkChoice::ActPc => {
-            training_clouds::act_pc_options(options)?;
+            clouds::act_pc_options(options)?;
             cloud_recipe(options.clouds.as_deref(), 1)?;
         }
         NetworkChoice::Dp3 => {
-            training_clouds::dp3_preset(&options.preset)?;
-            training_clouds::dp3_options(options, 1)?;
+            clouds::dp3_preset(&options.preset)?;
+            clouds::dp3_options(options, 1)?;
             cloud_recipe(options.clouds.as_deref(), 1)?;
         }
     }
@@ -144,16 +153,16 @@ pub fn resume(
 }
 
 /// Where a training starts from.
-pub(super) struct Start {
-    pub(super) trainer: Trainer,
-    pub(super) stopwatch: Stopwatch,
+struct Start {
+    trainer: Trainer,
+    stopwatch: Stopwatch,
     /// Those that were done before it was stopped.
-    pub(super) evaluations: Vec<Evaluation>,
+    evaluations: Vec<Evaluation>,
 }
 
 impl Start {
     /// What writes the checkpoints of the training that begins here.
-    pub(super) fn saver<'a>(
+    fn saver<'a>(
         &self,
         options: &'a TrainingOptions,
         train_options: TrainOptions,
@@ -178,13 +187,13 @@ fn train_from(
     on_progress: &mut OnProgress<'_>,
 ) -> Result<TrainingResult, SessionError> {
     rt::catch_interrupts().map_err(SessionError::signals)?;
-    let dataset = training_data::open(options)?;
+    let dataset = data::open(options)?;
     let result = match options.network {
         NetworkChoice::Act => train_act(options, &dataset, &start, on_progress),
         NetworkChoice::ActPc => {
-            training_clouds::train_act_pc(options, &dataset, &start, on_progress)
+            clouds::train_act_pc(options, &dataset, &start, on_progress)
         }
-        NetworkChoice::Dp3 => training_clouds::train_dp3(options, &dataset, &start, on_progress),
+        NetworkChoice::Dp3 => clouds::train_dp3(options, &dataset, &start, on_progress),
     }?;
     remove_state(&options.out)?;
     Ok(result)
@@ -226,7 +235,7 @@ fn train_act(
 
 /// Says what is learned from, and in how many steps.
 fn note_data(dataset: &Dataset, steps: u64, on_progress: &mut OnProgress<'_>) {
-    let mut learned_from = training_data::described(dataset);
+    let mut learned_from = data::described(dataset);
     if let Some(whole) = learned_from.last_mut() {
         *whole += &format!("; {steps} steps");
     }
@@ -236,7 +245,7 @@ fn note_data(dataset: &Dataset, steps: u64, on_progress: &mut OnProgress<'_>) {
 }
 
 /// Runs a training, watched, and writes its checkpoint and its loss curve.
-pub(super) fn conduct(
+fn conduct(
     saver: &Saver<'_>,
     start: &Start,
     on_progress: &mut OnProgress<'_>,
@@ -268,7 +277,7 @@ fn result(steps: u64, seconds: f64, watcher: &Watcher<'_>, trained: &AnyTrained)
 }
 
 /// The features of the dataset's cameras, which are those that the network sees.
-pub(super) fn cameras(dataset: &Dataset) -> Vec<String> {
+fn cameras(dataset: &Dataset) -> Vec<String> {
     let names = dataset.camera_names().iter();
     names
         .map(|name| format!("observation.images.{name}"))
@@ -288,7 +297,7 @@ fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {
 }
 
 /// Policy steps between queries: the user's number, which a chunk of `steps` must last for, or `usual`.
-pub(super) fn query_every(
+fn query_every(
     options: &TrainingOptions,
     usual: u32,
     steps: i64,
@@ -303,7 +312,7 @@ pub(super) fn query_every(
 }
 
 /// `base` with the learning rate that the user wants, and `augmentation` as they want it.
-pub(super) fn as_wanted(
+fn as_wanted(
     options: &TrainingOptions,
     base: TrainOptions,
     augmentation: Augmentation,

@@ -1,5 +1,11 @@
 //! Demonstrations: episodes of the expert, written as a LeRobot v3 dataset.
 
+mod by_hand;
+mod failures;
+pub mod notes;
+mod page;
+mod resume;
+
 use std::path::PathBuf;
 
 use hal::{ArmObservation, CameraFrame, TipTarget};
@@ -13,16 +19,15 @@ use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::disturbance::Disturber;
 use trocar_tasks::task::{Outcome, PatientPlacement, Variation};
 
+pub use self::by_hand::record_by_hand;
+use self::failures::Datasets;
+use self::notes::{DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, by_hand_note};
+use self::page::{EpisodePage, RecordPage};
+use self::resume::{Found, look};
 use super::episode::{Episode, EpisodeObserver, StepView};
-use super::record_failures::{self, Datasets};
-use super::record_notes::{DISTURBED_TIME_FACTOR, DisturbedCounts, EpisodeNote, by_hand_note};
-use super::record_page::{EpisodePage, RecordPage};
-use super::record_resume::{Found, look};
 use super::run::next_simulation;
 use super::source::STEP_NS;
 use super::{Plan, PolicyChoice, SessionError, Setup, parallel};
-
-pub use super::record_by_hand::record_by_hand;
 
 /// What to record.
 #[derive(Clone, Debug)]
@@ -125,7 +130,7 @@ impl RecordSummary {
         }
     }
 
-    pub(super) fn add(&mut self, attempt: Attempt) {
+    fn add(&mut self, attempt: Attempt) {
         if attempt.kept {
             self.episodes += 1;
             self.steps += attempt.steps;
@@ -138,12 +143,12 @@ impl RecordSummary {
 }
 
 /// A recording before its next episode.
-pub(super) struct Begun {
-    pub(super) summary: RecordSummary,
+struct Begun {
+    summary: RecordSummary,
     /// How many attempts there were before.
-    pub(super) attempts: u64,
+    attempts: u64,
     /// None if all episodes were there before: nothing is touched then.
-    pub(super) datasets: Option<Datasets>,
+    datasets: Option<Datasets>,
 }
 
 impl Begun {
@@ -151,8 +156,8 @@ impl Begun {
     ///
     /// # Errors
     /// Those of [`record`] that concern the dataset's folder.
-    pub(super) fn new(plan: &Plan, options: &RecordOptions) -> Result<Self, SessionError> {
-        record_failures::check(options)?;
+    fn new(plan: &Plan, options: &RecordOptions) -> Result<Self, SessionError> {
+        failures::check(options)?;
         check_lens(plan, options)?;
         let found = look(plan, options)?;
         let summary = RecordSummary::new(plan, options, &found);
@@ -243,7 +248,7 @@ pub fn record(
 }
 
 /// The error that a file could not be written, such as on a full disk; others as they are.
-pub(super) fn unwritten(options: &RecordOptions, error: DatasetError) -> SessionError {
+fn unwritten(options: &RecordOptions, error: DatasetError) -> SessionError {
     let there = Totals::read(&options.out).map_or(0, |there| there.episodes);
     let reason = if let DatasetError::Io { path, source } = &error {
         format!("{}: {source}", path.display())
@@ -315,21 +320,21 @@ const fn robot_type(arms: usize) -> &'static str {
 }
 
 /// One episode in memory.
-pub(super) struct Demonstration {
-    pub(super) outcome: Outcome,
-    pub(super) reason: String,
+struct Demonstration {
+    outcome: Outcome,
+    reason: String,
     /// Policy steps; frames are there of what is kept, failures among it if those are.
-    pub(super) steps: usize,
-    pub(super) frames: Vec<StoredFrame>,
-    pub(super) note: EpisodeNote,
+    steps: usize,
+    frames: Vec<StoredFrame>,
+    note: EpisodeNote,
 }
 
 impl Demonstration {
-    pub(super) const fn succeeded(&self) -> bool {
+    const fn succeeded(&self) -> bool {
         matches!(self.outcome, Outcome::Success)
     }
 
-    pub(super) fn attempt(&self) -> Attempt {
+    fn attempt(&self) -> Attempt {
         Attempt {
             seed: self.note.seed,
             kept: self.succeeded(),
@@ -341,18 +346,18 @@ impl Demonstration {
     }
 }
 
-pub(super) struct StoredFrame {
-    pub(super) arms: Vec<ArmFrame>,
-    pub(super) images: Vec<Vec<u8>>,
+struct StoredFrame {
+    arms: Vec<ArmFrame>,
+    images: Vec<Vec<u8>>,
     /// Of every camera, or none.
-    pub(super) depth: Vec<StoredDepth>,
+    depth: Vec<StoredDepth>,
     /// Whether an operator drove.
-    pub(super) by_hand: bool,
+    by_hand: bool,
 }
 
 impl StoredFrame {
     /// What the arms measured and were given, and what the cameras saw, with its `depth` or not.
-    pub(super) fn new(arms: Vec<ArmFrame>, frames: &[CameraFrame], depth: bool) -> Self {
+    fn new(arms: Vec<ArmFrame>, frames: &[CameraFrame], depth: bool) -> Self {
         let depths = frames.iter().filter(|_| depth);
         Self {
             arms,
@@ -363,16 +368,16 @@ impl StoredFrame {
     }
 
     /// The same, driven by an operator or not.
-    pub(super) const fn driven(mut self, by_hand: bool) -> Self {
+    const fn driven(mut self, by_hand: bool) -> Self {
         self.by_hand = by_hand;
         self
     }
 }
 
-pub(super) struct StoredDepth {
-    pub(super) units: Vec<u16>,
-    pub(super) instance: Vec<u8>,
-    pub(super) camera_in_scene: [f64; 7],
+struct StoredDepth {
+    units: Vec<u16>,
+    instance: Vec<u8>,
+    camera_in_scene: [f64; 7],
 }
 
 impl StoredDepth {

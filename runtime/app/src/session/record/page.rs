@@ -12,13 +12,13 @@ use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::TaskConfig;
 use trocar_topics::TaskReport;
 
-use super::episode::StepView;
-use super::record::Attempt;
-use super::source::STEP_NS;
-use super::views::show_frame;
-use super::{Plan, SessionError};
+use super::Attempt;
 use crate::console::{Console, ControlTap, Facts, FrameTap, SceneTap};
 use crate::mailbox::MailboxWriter;
+use crate::session::episode::StepView;
+use crate::session::source::STEP_NS;
+use crate::session::views::show_frame;
+use crate::session::{Plan, SessionError};
 
 /// Attempts that a page has.
 const ATTEMPTS_MAX: usize = 20;

@@ -11,13 +11,13 @@ use serde::{Deserialize, Serialize};
 use tch::Device;
 use trocar_data::dataset::{CameraSpec, Dataset};
 
-use super::eval::{EvalOptions, evaluate};
-use super::policy_choice::PolicyChoice;
-use super::run::write_json;
-use super::score::Score;
-use super::training::TrainingOptions;
-use super::{Plan, SessionError, Setup};
+use super::options::{TrainingEval, TrainingOptions};
 use crate::rt;
+use crate::session::eval::{EvalOptions, evaluate};
+use crate::session::policy_choice::PolicyChoice;
+use crate::session::run::write_json;
+use crate::session::score::Score;
+use crate::session::{Plan, SessionError, Setup};
 
 /// The folder with the best weights, in the checkpoint's.
 pub const BEST: &str = "best";
@@ -29,23 +29,6 @@ const RESULT_FILE: &str = "evaluation.json";
 const PART: &str = "best.part";
 /// The best weights before these, while they are replaced.
 const OLD: &str = "best.old";
-
-/// How often a training is evaluated, and how.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TrainingEval {
-    /// Steps between two evaluations; there is one after the last step too.
-    pub every: u64,
-    /// The task, a name or a folder; the dataset's if not given.
-    pub task: Option<String>,
-    /// Trials of an evaluation.
-    pub trials: usize,
-    /// Seed of the first trial.
-    pub seed: u64,
-    /// Trials at a time.
-    pub jobs: usize,
-    /// Delay from observation to chunk, ms; the policy's own if not given.
-    pub latency_ms: Option<u64>,
-}
 
 /// How one evaluation went.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

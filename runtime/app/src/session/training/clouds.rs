@@ -11,13 +11,13 @@ use trocar_nets::dimension::{dimension, length};
 use trocar_nets::dp3::{Dp3Config, Dp3Preset};
 use trocar_train::{AnyTrained, Augmentation, TrainOptions, TrainPrecision};
 
-use super::SessionError;
-use super::cloud_file::cloud_recipe;
-use super::training::{
+use super::save::Made;
+use super::{
     OnProgress, Start, TrainingOptions, TrainingResult, as_wanted, cameras, conduct, query_every,
     sound,
 };
-use super::training_recipe::Made;
+use crate::session::SessionError;
+use crate::session::cloud_file::cloud_recipe;
 
 /// Points in a cloud, of the published real tasks.
 const POINTS: usize = 1024;

@@ -6,10 +6,10 @@ use serde_json::Value;
 use trocar_data::dataset::{DatasetError, DatasetSpec, DatasetWriter, DepthFrame, FrameRecord};
 use trocar_tasks::task::Outcome;
 
-use super::record::{Demonstration, RecordOptions, unwritten};
-use super::record_notes::{failures_note, value};
-use super::record_resume::{Found, begin};
-use super::{Plan, SessionError, outputs};
+use super::notes::{failures_note, value};
+use super::resume::{Found, begin};
+use super::{Demonstration, RecordOptions, unwritten};
+use crate::session::{Plan, SessionError, outputs};
 
 /// The datasets of a recording.
 pub(super) struct Datasets {

@@ -1,0 +1,48 @@
+//! The SHA-256 of texts and files.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+use sha2::{Digest, Sha256};
+
+pub(crate) fn hexadecimal(hash: Sha256) -> String {
+    format!("{:x}", hash.finalize())
+}
+
+/// SHA-256 of `text`, hexadecimal.
+#[must_use]
+pub fn hash_text(text: &str) -> String {
+    let mut hash = Sha256::new();
+    hash.update(text);
+    hexadecimal(hash)
+}
+
+/// SHA-256 of the file at `path`, hexadecimal.
+///
+/// # Errors
+/// The system's.
+pub fn hash_file(path: &Path) -> io::Result<String> {
+    let mut file = File::open(path)?;
+    let mut hash = Sha256::new();
+    let mut buffer = vec![0_u8; 1 << 20];
+    loop {
+        let count = file.read(&mut buffer)?;
+        if count == 0 {
+            return Ok(hexadecimal(hash));
+        }
+        hash.update(&buffer[..count]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::hash_text;
+
+    #[test]
+    fn hashes_match_the_published_test_vectors() {
+        // FIPS 180-2, appendix B.1.
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(hash_text("abc"), expected);
+    }
+}
