@@ -24,7 +24,7 @@ from lerobot.configs.default import DatasetConfig
 from lerobot.configs.train import TrainPipelineConfig
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.policies.act.configuration_act import ACTConfig
-from lerobot.policies.act.modeling_act import ACTPolicy
+from lerobot.policies.act.modeling_act import ACTPolicy, ACTTemporalEnsembler
 from lerobot.policies.factory import make_pre_post_processors
 from trocar.lerobot import ServedPolicy, convert
 from trocar.lerobot.model import load
@@ -183,16 +183,21 @@ def slow(tmp_path: Path) -> TrocarACTPolicy:
     return TrocarACTPolicy.from_pretrained(out, strict=True)
 
 
-@pytest.mark.parametrize(("fps", "queue"), [(None, 25), (25, 25), (15, 15), (50, 50), (10, 10)])
-def test_an_environment_gets_what_lies_at_its_steps(fps: int | None, queue: int, slow: TrocarACTPolicy) -> None:
-    """lerobot-eval asks for one action a step; a chunk of 15 steps a second is interpolated there, and asked for anew after a second."""
-    step_ns = STEP_NS if fps is None else 1_000_000_000 // fps
+def drawn(policy: TrocarACTPolicy, fps: int | None) -> dict[str, torch.Tensor]:
+    """What a policy of two arms is shown by an environment of `fps` steps a second, which may not say so: noise, with tips that can be."""
     generator = torch.Generator().manual_seed(3)
-    drawn = {name: torch.randn(1, *feature.shape, generator=generator) for name, feature in slow.config.input_features.items()}
+    batch = {name: torch.randn(1, *feature.shape, generator=generator) for name, feature in policy.config.input_features.items()}
     tips = torch.randn(1, 2, 7, generator=generator)
     tips[..., 3:7] /= tips[..., 3:7].norm(dim=-1, keepdim=True)
-    told = {} if fps is None else {"observation.step_ns": torch.tensor([step_ns])}
-    batch = drawn | told | {"observation.tip_pose": tips.flatten(1)}
+    told = {} if fps is None else {"observation.step_ns": torch.tensor([1_000_000_000 // fps])}
+    return batch | told | {"observation.tip_pose": tips.flatten(1)}
+
+
+@pytest.mark.parametrize(("fps", "queue"), [(None, 25), (25, 25), (15, 15), (50, 50), (10, 10)])
+def test_an_environment_gets_what_lies_at_the_ends_of_its_steps(fps: int | None, queue: int, slow: TrocarACTPolicy) -> None:
+    """lerobot-eval asks for one action a step; a chunk of 15 steps a second is interpolated there, and asked for anew after a second."""
+    step_ns = STEP_NS if fps is None else 1_000_000_000 // fps
+    batch = drawn(slow, fps)
     chunk = slow.predict_action_chunk(batch)[0].numpy().astype(np.float64).reshape(-1, 2, 8)
     assert len(chunk) == slow.config.chunk_size and slow.config.n_action_steps == 25
     slow.reset()
@@ -201,14 +206,10 @@ def test_an_environment_gets_what_lies_at_its_steps(fps: int | None, queue: int,
         rows = chunk[:, arm]
         rows[:, 3:7] /= np.linalg.norm(rows[:, 3:7], axis=1, keepdims=True)
         for step, action in enumerate(actions[:queue]):
-            expected = later(rows, step * step_ns, STEP_15_NS)[0]
-            # LeRobot's rows are as the network has them; a quaternion has the length 1 only where it is interpolated.
-            action[arm, 3:7] /= np.linalg.norm(action[arm, 3:7])
-            np.testing.assert_allclose(action[arm], expected, atol=1e-5)
+            # The environment reaches it at the end of its step; a session has it then.
+            np.testing.assert_allclose(action[arm], later(rows, (step + 1) * step_ns, STEP_15_NS)[0], atol=1e-5)
     # Then it is asked anew, and answers the same.
-    again, first = actions[queue].copy(), actions[0]
-    again[:, 3:7] /= np.linalg.norm(again[:, 3:7], axis=1, keepdims=True)
-    np.testing.assert_allclose(again, first, atol=1e-6)
+    np.testing.assert_allclose(actions[queue], actions[0], atol=1e-6)
 
 
 def test_ensembled_chunks_want_an_environment_of_their_steps(slow: TrocarACTPolicy) -> None:
@@ -217,13 +218,29 @@ def test_ensembled_chunks_want_an_environment_of_their_steps(slow: TrocarACTPoli
         slow.select_action({})
 
 
+def test_ensembled_chunks_are_those_of_the_ends_of_steps(slow: TrocarACTPolicy) -> None:
+    """The second step mixes the third row of the first chunk with the second row of the second, which is the same chunk."""
+    slow.config.temporal_ensemble_coeff = decay = 0.5
+    slow.temporal_ensembler = ACTTemporalEnsembler(decay, slow.config.chunk_size)
+    batch = drawn(slow, 15)
+    rows = slow.predict_action_chunk(batch)[0].unflatten(-1, (2, 8))
+    rows[..., 3:7] /= rows[..., 3:7].norm(dim=-1, keepdim=True)
+    rows = rows.flatten(-2).numpy()
+    assert np.abs(np.diff(rows[:3], axis=0)).max(axis=1).min() > 1e-5
+    slow.reset()
+    found = [slow.select_action(batch)[0].numpy() for _ in range(2)]
+    np.testing.assert_allclose(found[0], rows[1], atol=2e-6)
+    newer = np.exp(-decay)
+    np.testing.assert_allclose(found[1], (rows[2] + newer * rows[1]) / (1 + newer), atol=2e-6)
+
+
 def test_resampled_chunks_end_with_their_last_row() -> None:
     generator = torch.Generator().manual_seed(4)
     rows = torch.randn(2, 4, 16, generator=generator, dtype=torch.float64).unflatten(-1, (2, 8))
     rows[..., 3:7] /= rows[..., 3:7].norm(dim=-1, keepdim=True)
-    for from_ns, to_ns, steps in [(40, 40, 4), (20, 40, 2), (80, 40, 7), (100, 40, 8), (30, 40, 3)]:
+    for from_ns, to_ns, steps in [(40, 40, 4), (20, 40, 2), (80, 40, 7), (100, 40, 8), (30, 40, 3), (10, 40, 1)]:
         found = resampled(rows.flatten(-2), 2, from_ns, to_ns).unflatten(-1, (2, 8))
         assert found.shape == (2, steps, 2, 8)
         for batch, arm, step in np.ndindex(2, 2, steps):
-            expected = later(rows[batch, :, arm].numpy(), step * to_ns, from_ns)[0]
+            expected = later(rows[batch, :, arm].numpy(), min((step + 1) * to_ns, 3 * from_ns), from_ns)[0]
             np.testing.assert_allclose(found[batch, step, arm].numpy(), expected, atol=1e-12)

@@ -74,8 +74,9 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
 
     An observation has ``joints`` (rad, insertion m), ``jaw`` (rad) and ``tip`` (x, y, z in m, quaternion x, y, z, w) of each arm, and an
     image of each of `cameras`. With ``layout="lerobot"`` it has LeRobot's keys instead, with the numbers of Trocar's datasets: ``agent_pos``
-    (joints and jaw of each arm), ``tip_pose`` and ``pixels`` by camera; absolute actions are then what such a dataset's ``action`` holds. The reward is 1 in the step in which the task is done, and 0 otherwise. The verdict terminates an episode,
-    the task's time limit truncates it; ``info`` then has ``success``, ``reason``, ``seconds`` and ``command_hash``.
+    (joints and jaw of each arm), ``tip_pose`` and ``pixels`` by camera; absolute actions are then what such a dataset's ``action`` holds, which
+    is the target at its own frame: step k takes that of frame k + 1. The reward is 1 in the step in which the task is done, and 0 otherwise.
+    The verdict terminates an episode, the task's time limit truncates it; ``info`` then has ``success``, ``reason``, ``seconds`` and ``command_hash``.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": frames_a_second(POLICY_STEP_NS)}

@@ -130,7 +130,7 @@ def convert(folder: Path, out: Path) -> Path:
     """Writes Trocar's ACT checkpoint `folder` to `out` as LeRobot loads it: single precision, without the variational encoder.
 
     The policy takes the frames at the size of the task's cameras, and answers with absolute poses. Its chunks have the steps that it was
-    trained with; LeRobot's programs, which ask for one action an environment's step, get what lies at that step in them.
+    trained with; LeRobot's programs, which ask for one action an environment's step, get what lies at the end of that step in them.
 
     Raises CheckpointError if the folder has no network of ACT's, or `out` is there already.
     """

@@ -75,7 +75,8 @@ class TrocarACTPolicy(ACTPolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor]) -> Tensor:
-        """The next absolute action (batch, 8 an arm) of an environment: what lies at its steps in the newest chunk, whatever the chunk's own.
+        """The next absolute action (batch, 8 an arm) of an environment: what lies at the end of its step in the newest chunk, whatever the
+        chunk's own steps.
 
         The environment's steps are as long as `batch` says, 40 ms if it does not. Raises ValueError if they are others than the chunk's and
         chunks are to be ensembled.
@@ -89,11 +90,9 @@ class TrocarACTPolicy(ACTPolicy):
                     f"temporal_ensemble_coeff = {self.config.temporal_ensemble_coeff} with steps of {own_ns} ns in an environment with steps "
                     f"of {step_ns} ns: allowed is null, or the same steps"
                 )
-            return super().select_action(batch)
+            return self.temporal_ensembler.update(resampled(self.predict_action_chunk(batch), self.arms, own_ns, step_ns))
         if not self._action_queue:
-            actions = self.predict_action_chunk(batch)
-            if step_ns != own_ns:
-                actions = resampled(actions, self.arms, own_ns, step_ns)
+            actions = resampled(self.predict_action_chunk(batch), self.arms, own_ns, step_ns)
             # As long as a session plays them before it asks anew.
             count = max(self.config.n_action_steps * POLICY_STEP_NS // step_ns, 1)
             self._action_queue.extend(actions[:, :count].transpose(0, 1))
@@ -120,12 +119,16 @@ def absolute(actions: Tensor, tips: Tensor, arms: int) -> Tensor:
 
 
 def resampled(actions: Tensor, arms: int, from_ns: int, to_ns: int) -> Tensor:
-    """Absolute actions (batch, steps, 8 an arm) that are `from_ns` apart at every `to_ns` from the first on, up to the last.
+    """A chunk of absolute actions (batch, steps, 8 an arm), `from_ns` apart, as actions of an environment with steps of `to_ns`.
 
-    Between two of them position and jaw are interpolated linearly, the rotation along the shortest arc.
+    Row k of a chunk is due k of its steps after the observation: a network learns it from the dataset's ``action`` k frames later, the target at
+    that frame. An environment reaches an action at the end of its step, so that of step k is what lies k + 1 of its steps after the observation.
+    The last one, of a step that ends beyond the chunk, is the last row. Between two rows position and jaw are interpolated linearly, the
+    rotation along the shortest arc.
     """
     last = actions.shape[1] - 1
-    due = torch.arange(last * from_ns // to_ns + 1, device=actions.device) * to_ns
+    end_ns = last * from_ns
+    due = ((torch.arange(end_ns // to_ns + 1, device=actions.device) + 1) * to_ns).clamp(max=end_ns)
     index = due // from_ns
     share = ((due % from_ns).to(actions.dtype) / from_ns)[:, None, None]
     rows = actions.unflatten(-1, (arms, ABSOLUTE))
