@@ -129,6 +129,10 @@ fn verbs_pause_resume_slow_down_and_stop_a_run() {
     assert!(status["arms"][0]["fault"].is_null());
     let (code, answer, _) = run.command(&["clear"]);
     assert_eq!(code, 1, "{answer}");
+    let (code, answer, _) = run.command(&["mark", "success", "--label", "third try"]);
+    assert_eq!(code, 1, "{answer}");
+    let judged = "error: this run is marked by nobody: it has a task that judges it";
+    assert!(answer.starts_with(judged), "{answer}");
 
     let socket = run.socket();
     assert_eq!(fs::metadata(&socket).unwrap().mode() & 0o777, 0o600);
@@ -160,11 +164,11 @@ fn lines_that_are_no_commands_move_nothing() {
     stream.write_all(b"sta").unwrap();
     sleep_ns(200_000_000);
     stream
-        .write_all(b"tus\nspeed 0\nPAUSE\n\xff\xfe\nstatus json\n")
+        .write_all(b"tus\nspeed 0\nPAUSE\nmark good\n\xff\xfe\nstatus json\n")
         .unwrap();
     let mut next = || answers.next().unwrap().unwrap();
     assert!(next().starts_with("ok; "));
-    for _ in 0..3 {
+    for _ in 0..4 {
         let answer = next();
         assert!(answer.contains("is no command: status, enable"), "{answer}");
     }
@@ -172,7 +176,7 @@ fn lines_that_are_no_commands_move_nothing() {
     // A line without an end is not kept.
     let _gone = stream.write_all(&vec![b'x'; 100_000]);
     let answer = next();
-    assert!(answer.contains("at most 200 bytes"), "{answer}");
+    assert!(answer.contains("at most 1000 bytes"), "{answer}");
     // Whoever says nothing holds up nobody.
     let _silent: Vec<_> = (0..4).map(|_| UnixStream::connect(run.socket())).collect();
     assert!(run.command(&["status"]).1.contains("psm1 ENABLED"));

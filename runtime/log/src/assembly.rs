@@ -41,6 +41,7 @@ pub(super) struct Facts {
     input_hash: Option<u64>,
     /// Whether the run goes on in another file.
     goes_on: bool,
+    unknown_mark: Option<String>,
     altered: bool,
 }
 
@@ -126,6 +127,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Visitor for Assembly
             let closing = Closing::parse(&map).ok_or("the outcome lacks a count or a hash")?;
             self.facts.altered =
                 closing.contents != Some(header::contents_after(&self.contents, &map));
+            self.facts.unknown_mark = header::unknown_mark(&map);
             self.facts.outcome = closing.outcome;
             self.facts.counts = Some(closing.counts);
             self.facts.input_hash = Some(closing.input_hash).filter(|_| !closing.goes_on);
@@ -172,6 +174,7 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
         let whole = cut.is_none() && self.facts.counts.is_some();
         Ok(LogEnd {
             outcome: self.facts.outcome.take(),
+            unknown_mark: self.facts.unknown_mark.take(),
             input_hash: self.facts.input_hash,
             dropped_at_end: self.dropped_at_end(),
             cut: cut.or_else(|| self.facts.incomplete()),

@@ -92,7 +92,8 @@ impl RunMark {
     }
 
     /// The mark of that name.
-    fn named(name: &str) -> Option<Self> {
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
         let all = [Self::Success, Self::Failure, Self::Discard];
         all.into_iter().find(|mark| mark.name() == name)
     }
@@ -281,6 +282,12 @@ pub(super) fn contents_after(before: &ContentHash, map: &Map) -> String {
     let mut contents = before.clone();
     contents.metadata(OUTCOME, &map);
     contents.value()
+}
+
+/// The mark in the closing record `map`, if there is one that is no [`RunMark`].
+pub(super) fn unknown_mark(map: &Map) -> Option<String> {
+    let unknown = |name: &&String| RunMark::named(name).is_none();
+    map.get(MARK).filter(unknown).cloned()
 }
 
 /// Further keys of the closing record.

@@ -29,6 +29,7 @@ pub struct RunLog {
     pub losses: Vec<Loss>,
     /// What happened in words, in order; for people, and no part of what a replay needs.
     pub events: Vec<String>,
+    unknown_mark: Option<String>,
     cut: Option<String>,
     bounded: bool,
     altered: bool,
@@ -148,6 +149,7 @@ impl RunLog {
         self.header = facts.header;
         self.counts = facts.counts;
         self.outcome = end.outcome;
+        self.unknown_mark = end.unknown_mark;
         self.input_hash = end.input_hash;
         self.cut = end.cut;
         self.bounded = end.bounded;
@@ -225,6 +227,7 @@ impl RunLog {
         });
         LogEnd {
             outcome: self.outcome.clone(),
+            unknown_mark: self.unknown_mark.clone(),
             input_hash: self.input_hash,
             dropped_at_end: at_end.sum(),
             cut: self.cut.clone(),

@@ -45,6 +45,8 @@ impl<'a> Step<'a> {
 pub struct LogEnd {
     /// How the run ended; `None` if the log was not closed properly.
     pub outcome: Option<RunOutcome>,
+    /// The mark in the log, if there is one that is no [`RunMark`](crate::RunMark); the outcome has none then.
+    pub unknown_mark: Option<String>,
     /// Hash over everything that the controller was given, taken while it ran; `None` if the file was cut.
     pub input_hash: Option<u64>,
     /// Ticks that the logger dropped after the last one that it wrote.

@@ -235,9 +235,9 @@ fn a_page_sees_arm_and_cameras_of_a_robot() {
 fn marks_the_run(page: &mut Page) {
     page.say(&json!({ "mark": "success" }));
     let problem = page.wait_for("problem", |_| true);
-    assert!(
-        problem["text"].as_str().unwrap().contains("take control"),
-        "{problem}"
+    assert_eq!(
+        problem["text"],
+        "only the page that steers marks and labels the run: take control first"
     );
     page.say(&json!({ "steer": true }));
     page.wait_for("seat", |seat| seat["steers"] == true);

@@ -1,12 +1,13 @@
 //! `run --backend topics`: a controller and the arms that it leads are two processes, each of which may die.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use hal::{ARM_NAMES, ArmCommand};
 use tests::{alone, json, repository, scratch, stderr, trocar};
+use trocar::session::operator::{Ask, Command as Operator, ask};
 use trocar_log::replay::replay;
-use trocar_log::{LoggedArm, RunLog};
+use trocar_log::{LoggedArm, RunLog, RunMark};
 use trocar_topics::{
     ArmFeedback, ArmFeedbackTopic, ArmSetpointTopic, Subscriber, TopicNode, arms_of,
 };
@@ -284,6 +285,77 @@ fn a_robot_on_topics_rests_without_torque_after_a_signal() {
         of_log.command.position, last.position,
         "as the arm was told"
     );
+}
+
+/// A robot's run without a page is marked over the operator's socket, and its log has the last mark.
+#[test]
+fn a_robot_on_topics_is_marked_without_a_page() {
+    let _turn = alone();
+    let simulator = Simulator::start("topics-marked", "needle-lift", &[]);
+    let folder = scratch("topics-marked-run");
+    let (log, result) = (folder.join("run.mcap"), folder.join("run.json"));
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let safety = safety.to_str().unwrap();
+    let mut run = simulator
+        .run(&["--policy", "random", "--safety", safety, "--log"])
+        .arg(&log)
+        .arg("--json")
+        .arg(&result)
+        .spawn()
+        .unwrap();
+    until("the run is under way", || {
+        assert_eq!(run.try_wait().unwrap(), None, "ended too early");
+        moves(&log)
+    });
+    marks(run.id(), &log);
+    ask(Operator::Stop, &of(run.id(), false)).unwrap();
+    run.wait().unwrap();
+    let said = &json(&result)["said"];
+    assert_eq!(
+        said,
+        &serde_json::json!({ "mark": "discard", "label": "camera fell" })
+    );
+    assert!(is_told(&log, "the operator marks the run: discard"));
+    let outcome = RunLog::open(&log).unwrap().outcome.unwrap();
+    let said = outcome.said.to_string();
+    assert_eq!(said, "marked discard, label \"camera fell\"");
+}
+
+/// Whether `log` says so among what happened.
+fn is_told(log: &Path, text: &str) -> bool {
+    RunLog::open(log).is_ok_and(|log| log.events.iter().any(|event| event == text))
+}
+
+fn of(run: u32, json: bool) -> Ask {
+    let run = Some(run.to_string());
+    Ask { run, json }
+}
+
+/// A person says how the run goes, and otherwise a moment later; a label that is none changes nothing.
+fn marks(run: u32, log: &Path) {
+    let says = |mark, label: Option<&str>| {
+        let label = label.map(str::to_owned);
+        ask(Operator::Mark { mark, label }, &of(run, false)).unwrap()
+    };
+    let (answer, yes) = says(Some(RunMark::Success), None);
+    assert!(yes && answer.ends_with("; marked success"), "{answer}");
+    until("the mark is told", || {
+        is_told(log, "the operator marks the run: success")
+    });
+    let (answer, yes) = says(None, Some("camera fell"));
+    let unmarked = "; not marked, label \"camera fell\"";
+    assert!(yes && answer.ends_with(unmarked), "{answer}");
+    until("it is told that there is none", || {
+        is_told(log, "the operator takes the mark of the run back")
+    });
+    let (answer, yes) = says(Some(RunMark::Failure), Some("two\u{2028}lines"));
+    assert!(!yes && answer.starts_with("error: a label is"), "{answer}");
+    let (_, yes) = says(Some(RunMark::Discard), None);
+    assert!(yes);
+    let (status, _) = ask(Operator::Status, &of(run, true)).unwrap();
+    let status: serde_json::Value = serde_json::from_str(&status).unwrap();
+    let said = serde_json::json!({ "mark": "discard", "label": "camera fell" });
+    assert_eq!(status["said"], said, "{status}");
 }
 
 /// What is not there, or led by another, is named.

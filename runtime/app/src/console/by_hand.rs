@@ -1,4 +1,4 @@
-//! What a page says that moves arms by hand. Only the page that steers may.
+//! What a page says that moves arms by hand, or marks the run. Only the page that steers may.
 
 use super::request::Request;
 use super::seats::Seat;
@@ -21,7 +21,12 @@ pub(super) fn heard(
         return Ok(());
     }
     if !seat.steers() {
-        return Err(HandsMessageError::NoSeat);
+        let marks = matches!(request, Request::Mark(_) | Request::Label(_));
+        return Err(if marks {
+            HandsMessageError::NoSeatToMark
+        } else {
+            HandsMessageError::NoSeat
+        });
     }
     match request {
         Request::Hands(_) if hands.are_at_desk() => return Err(HandsMessageError::Desk),
@@ -30,7 +35,7 @@ pub(super) fn heard(
         Request::Align(degrees) => hands.set_align_deg(degrees)?,
         Request::HandBack(true) => hands.hand_back()?,
         Request::Episode(wish) => hands.wish(wish)?,
-        Request::Label(text) => hands.set_label(text)?,
+        Request::Label(text) => hands.set_label(&text)?,
         Request::Mark(mark) => hands.mark(mark)?,
         Request::Shown((_, seconds)) => {
             if let Some(age_ns) = shared.board.age_ns(seconds) {
@@ -47,4 +52,35 @@ pub(super) fn heard(
         | Request::Open(_) => {}
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_log::RunMark;
+
+    use super::super::access::Access;
+    use super::*;
+
+    /// A page that looks on is refused by the name of what it wanted.
+    #[test]
+    fn only_the_page_that_steers_marks_and_moves() {
+        let shared = Shared::new(Access::new(0).unwrap());
+        shared.hands.ask_for_mark();
+        let [steering, other] = [(); 2].map(|()| shared.seats.sit().unwrap());
+        assert!(steering.steer());
+        let mark = || Request::Mark(Some(RunMark::Success));
+        let label = || Request::Label("third try".to_owned());
+        for (request, refusal) in [
+            (mark(), HandsMessageError::NoSeatToMark),
+            (label(), HandsMessageError::NoSeatToMark),
+            (Request::Scale(0.5), HandsMessageError::NoSeat),
+        ] {
+            assert_eq!(heard(&shared, &other, request), Err(refusal));
+        }
+        for request in [mark(), label()] {
+            assert_eq!(heard(&shared, &steering, request), Ok(()));
+        }
+        let said = shared.hands.said().unwrap();
+        assert_eq!(said.to_string(), "marked success, label \"third try\"");
+    }
 }

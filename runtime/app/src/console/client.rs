@@ -16,8 +16,8 @@ use tokio::time::{interval, timeout};
 
 use super::by_hand;
 use super::dataset_view::DatasetView;
-use super::log_view::LogView;
 use super::drawn::Stream;
+use super::log_view::LogView;
 use super::request::{Request, TokenBucket, command};
 use super::seats::{Seat, Taken};
 use super::shared::Shared;
@@ -269,7 +269,7 @@ impl Page {
     async fn command(&mut self, text: &str, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let (ok, said) = match command(text) {
             Err(reason) => (false, reason),
-            Ok(command) if !brings_to_rest(command) && !self.seat.steers() => (
+            Ok(command) if !brings_to_rest(&command) && !self.seat.steers() => (
                 false,
                 "another page steers this run, or none: take control first".to_owned(),
             ),
@@ -426,7 +426,7 @@ async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Disconnect
 }
 
 /// Whether `command` does no more than bring the arms to rest: any page may say so, also while the one that steers is frozen.
-const fn brings_to_rest(command: Command) -> bool {
+const fn brings_to_rest(command: &Command) -> bool {
     matches!(
         command,
         Command::Stop | Command::Event(OperatorEvent::Pause)

@@ -129,6 +129,11 @@ impl Live {
         self.scene.store(true, Ordering::Relaxed);
     }
 
+    /// The hands of whoever steers it, which say how it went too.
+    pub(super) const fn hands(&self) -> &Arc<Hands> {
+        &self.hands
+    }
+
     pub(super) fn facts(&self) -> String {
         if self.scene.load(Ordering::Relaxed) {
             return self.facts.clone().with_scene().json();
@@ -165,7 +170,7 @@ impl Live {
     }
 
     /// Says `command` to the run, as the operator's verbs do; waits for the answer. Whether it is a yes, and the answer.
-    pub(super) fn say(&self, command: Command) -> (bool, String) {
+    pub(super) fn say(&self, command: &Command) -> (bool, String) {
         let Some(socket) = &self.operator else {
             return (false, "no operator reaches this run".to_owned());
         };

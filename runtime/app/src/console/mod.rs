@@ -119,6 +119,11 @@ impl RunView {
     pub(crate) fn state(&self) -> Option<String> {
         self.0.state()
     }
+
+    /// The operator's hands, which say how it went too.
+    pub(crate) fn hands(&self) -> &Arc<Hands> {
+        self.0.hands()
+    }
 }
 
 /// The ends of a run that no page shows, which says what it does to whoever asks at `operator`.

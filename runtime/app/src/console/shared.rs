@@ -187,7 +187,7 @@ impl Shared {
         let Some(live) = self.live() else {
             return (false, "there is no run to steer".to_owned());
         };
-        let said = spawn_blocking(move || live.say(command)).await;
+        let said = spawn_blocking(move || live.say(&command)).await;
         said.unwrap_or_else(|error| (false, error.to_string()))
     }
 }

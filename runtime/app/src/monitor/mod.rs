@@ -39,7 +39,7 @@ struct Screen {
 }
 
 /// What a key asks for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 enum KeyAction {
     Quit,
     Send(Command),
@@ -106,7 +106,7 @@ fn show(
         let percent = screen.state.as_ref().map(|state| state.speed_percent);
         match wish(key, percent.unwrap_or(100)) {
             Some(KeyAction::Quit) => return Ok(()),
-            Some(KeyAction::Send(command)) => screen.answer = said(client, command),
+            Some(KeyAction::Send(command)) => screen.answer = said(client, &command),
             None => {}
         }
     }
@@ -118,7 +118,7 @@ fn is_end(error: &io::Error) -> bool {
     matches!(error.kind(), BrokenPipe | ConnectionReset | UnexpectedEof)
 }
 
-fn said(client: &QueryClient, command: Command) -> String {
+fn said(client: &QueryClient, command: &Command) -> String {
     let answer = client.say(command);
     let answer = answer.unwrap_or_else(|error| format!("error: {error}"));
     format!("{command}: {answer}")

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use hal::{Arm as _, Pose, TimeNs};
 use tch::Device;
-use trocar_log::{LogError, Pressure, Recorder, RunHeader, RunNote, Writing};
+use trocar_log::{LogError, Pressure, Recorder, RunHeader, Writing};
 use trocar_nets::compute::Compute;
 use trocar_tasks::simulation::{Rendering, Simulation};
 
@@ -122,15 +122,6 @@ impl<S> Plan<S> {
         let took_over = interventions.is_some_and(|it| it.taken_over > 0);
         let counts = took_over || self.demonstrates || self.policy == PolicyChoice::Teleop;
         counts.then_some(summary)
-    }
-
-    /// What a person said of the run, if it asked; from now on it asks no more.
-    pub(super) fn take_said(&self) -> RunNote {
-        let said = self
-            .console
-            .as_ref()
-            .and_then(|console| console.hands().take_said());
-        said.unwrap_or_default()
     }
 
     /// Whether anybody but the policy wants frames.

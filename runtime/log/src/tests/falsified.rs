@@ -217,6 +217,24 @@ fn what_no_replay_recomputes_is_compared_by_its_hash() {
     });
 }
 
+/// A mark that this version does not know is none of its own, and is there by its name.
+#[test]
+fn a_mark_that_is_not_known_is_named() {
+    for (mark, unknown) in [("success", None), ("good", Some("good"))] {
+        let mut items = honest(&format!("mark-{mark}"));
+        change_metadata(&mut items, "outcome", |map| {
+            for (key, value) in [("reason", "over"), ("command_hash", "0"), ("mark", mark)] {
+                map.insert(key.to_owned(), value.to_owned());
+            }
+        });
+        rehash(&mut items);
+        let end = read(&items).unwrap().end();
+        assert_eq!((end.unknown_mark.as_deref(), end.altered), (unknown, false));
+        let known = end.outcome.unwrap().said.mark;
+        assert_eq!(known.is_some(), unknown.is_none());
+    }
+}
+
 #[test]
 fn a_second_record_of_a_name_is_refused() {
     for of in ["run", "versions", "configuration", "outcome"] {

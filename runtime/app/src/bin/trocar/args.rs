@@ -19,7 +19,7 @@ use crate::environment::EnvironmentArgs;
 use crate::eval::EvalArgs;
 use crate::export::ExportVerb;
 use crate::import::ImportVerb;
-use crate::operator::{MonitorArgs, OperatorArgs, SpeedArgs};
+use crate::operator::{MarkArgs, MonitorArgs, OperatorArgs, SpeedArgs};
 use crate::page::{DeskArgs, FoxgloveArgs, HeadsetArgs, PageArgs};
 use crate::policy::{ExternalArgs, PolicyArgs};
 use crate::record::RecordArgs;
@@ -187,7 +187,7 @@ pub(crate) enum Verb {
     Anatomy(AnatomyVerb),
     /// Show what the arms of a run in real time are doing: operating state, fault.
     #[command(
-        after_help = "Example: trocar status\n         trocar status --json | jq .arms[0].state\n\nThis and enable, disable, pause, resume, home, clear, speed and stop are commands to a run of this user in real time, over a local socket. Exit code 1 if the run refuses."
+        after_help = "Example: trocar status\n         trocar status --json | jq .arms[0].state\n\nThis and enable, disable, pause, resume, home, clear, speed, mark and stop are commands to a run of this user in real time, over a local socket. Exit code 1 if the run refuses."
     )]
     Status(OperatorArgs),
     /// Show a run in real time in the terminal, for ssh: joints, filter, guard, gate, control loop and buses, with the operator's commands as keys.
@@ -216,6 +216,11 @@ pub(crate) enum Verb {
     /// Lower the speed limits of a run to a share of the configured ones, or raise them again.
     #[command(after_help = "Example: trocar speed 30")]
     Speed(SpeedArgs),
+    /// Mark how a robot's run went, as often as one likes, and label it: its log keeps both, for `import log`. It moves nothing and ends nothing.
+    #[command(
+        after_help = "Example: trocar mark success\n         trocar mark discard --label 'camera fell' && trocar stop\n         trocar mark none"
+    )]
+    Mark(MarkArgs),
     /// End a run: the arms come to rest first. This is no emergency stop.
     #[command(after_help = "Example: trocar stop --run 4711")]
     Stop(OperatorArgs),

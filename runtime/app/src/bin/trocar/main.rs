@@ -38,7 +38,7 @@ use trocar::session::{SessionError, outputs};
 use trocar_control::OperatorEvent;
 
 use args::{Cli, Verb};
-use operator::{operate, watch};
+use operator::{mark, operate, watch};
 
 /// Counts, so that a run can say what its control thread asked for.
 #[global_allocator]
@@ -116,6 +116,7 @@ fn done(verb: &Verb) -> Result<bool, SessionError> {
         Verb::Sheet(args) => sheet::sheet(args),
         Verb::Status(args) => operate(Command::Status, args),
         Verb::Monitor(args) => watch(args),
+        Verb::Mark(args) => mark(args),
         Verb::Home(args) => operate(Command::Home, args),
         Verb::Stop(args) => operate(Command::Stop, args),
         Verb::Enable(args) => operate(Command::Event(OperatorEvent::Enable), args),

@@ -1,9 +1,10 @@
 //! The operator's verbs: one command to a run in real time, and its answer.
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use trocar::monitor::monitor;
 use trocar::session::operator::{Ask, Command, ask};
+use trocar_log::RunMark;
 
 use crate::commands::Done;
 use crate::console;
@@ -28,6 +29,46 @@ pub(crate) struct SpeedArgs {
     /// Which run, and in which form it answers.
     #[command(flatten)]
     pub(crate) of: OperatorArgs,
+}
+
+/// How a run went.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Mark {
+    /// What was to be done is done.
+    Success,
+    /// It is not done.
+    Failure,
+    /// It is neither: the run is of no use.
+    Discard,
+    /// Take the mark back.
+    #[value(name = "none")]
+    Unmarked,
+}
+
+/// Options of `mark`.
+#[derive(Args, Debug)]
+pub(crate) struct MarkArgs {
+    /// How the run went.
+    #[arg(value_enum)]
+    mark: Mark,
+    /// What the run is called, a line of up to 64 characters; an empty one takes the label back. It stays as it is if not given.
+    #[arg(long, value_name = "TEXT")]
+    label: Option<String>,
+    /// Which run, and in which form it answers.
+    #[command(flatten)]
+    of: OperatorArgs,
+}
+
+/// Marks a run and prints what it answers.
+pub(crate) fn mark(args: &MarkArgs) -> Done {
+    let mark = match args.mark {
+        Mark::Success => Some(RunMark::Success),
+        Mark::Failure => Some(RunMark::Failure),
+        Mark::Discard => Some(RunMark::Discard),
+        Mark::Unmarked => None,
+    };
+    let label = args.label.clone();
+    operate(Command::Mark { mark, label }, &args.of)
 }
 
 /// Gives `command` to a run and prints what it answers.

@@ -140,8 +140,8 @@ fn more_cameras(log: &Path, arms: usize, found: &[String], names: &[String]) -> 
     }
 }
 
-/// How the run ended, if the log holds all of it.
-fn whole(log: &Path, end: LogEnd) -> Result<RunOutcome, LogImportError> {
+/// How the run ended, if the log holds all of it and it is known what its operator said of it.
+pub(super) fn whole(log: &Path, end: LogEnd) -> Result<RunOutcome, LogImportError> {
     let log = log.to_owned();
     match (end.cut, end.outcome) {
         (Some(reason), _) if end.bounded => Err(LogImportError::Bounded { log, reason }),
@@ -151,7 +151,10 @@ fn whole(log: &Path, end: LogEnd) -> Result<RunOutcome, LogImportError> {
             log,
             reason: "it does not say how its run ended".to_owned(),
         }),
-        (None, Some(outcome)) => Ok(outcome),
+        (None, Some(outcome)) => match end.unknown_mark {
+            Some(mark) => Err(LogImportError::Mark { log, mark }),
+            None => Ok(outcome),
+        },
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use trocar_log::LogError;
+use trocar_log::{LogError, RunMark};
 
 /// What is wrong with which log, and what helps.
 #[derive(Debug, thiserror::Error)]
@@ -37,6 +37,19 @@ pub enum LogImportError {
     Altered {
         /// The log.
         log: PathBuf,
+    },
+    /// What its operator said of the run is not known here.
+    #[error(
+        "{log}: its mark is {mark:?}, which is none of {}, {} and {}; import it with the version that recorded it",
+        RunMark::Success.name(),
+        RunMark::Failure.name(),
+        RunMark::Discard.name()
+    )]
+    Mark {
+        /// The log.
+        log: PathBuf,
+        /// The mark.
+        mark: String,
     },
     /// No arm was asked for anything.
     #[error(
@@ -172,6 +185,7 @@ impl LogImportError {
             Self::Cut { .. }
             | Self::Bounded { .. }
             | Self::Altered { .. }
+            | Self::Mark { .. }
             | Self::NeverAsked { .. }
             | Self::NoCamera { .. }
             | Self::NoFrames { .. }

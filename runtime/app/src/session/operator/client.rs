@@ -30,7 +30,7 @@ pub fn ask(command: Command, ask: &Ask) -> Result<(String, bool), SessionError> 
         SessionError::RealTime(format!("the folder of this user's runs: {error}"))
     })?;
     let socket = find(&folder, ask.run.as_deref())?;
-    let answer = exchange(&socket, command, ask.json)
+    let answer = exchange(&socket, &command, ask.json)
         .map_err(|error| SessionError::RealTime(format!("{}: {error}", socket.display())))?;
     let yes = answer.starts_with("ok") || answer.starts_with("{\"ok\":true");
     Ok((answer, yes))
@@ -73,7 +73,7 @@ impl QueryClient {
     ///
     /// # Errors
     /// If the run has ended, or hangs.
-    pub fn say(&self, command: Command) -> io::Result<String> {
+    pub fn say(&self, command: &Command) -> io::Result<String> {
         exchange(&self.socket, command, false)
     }
 }
@@ -114,7 +114,7 @@ fn find(folder: &Path, run: Option<&str>) -> Result<PathBuf, SessionError> {
 ///
 /// # Errors
 /// If the run does not answer.
-pub(crate) fn exchange(socket: &Path, command: Command, json: bool) -> io::Result<String> {
+pub(crate) fn exchange(socket: &Path, command: &Command, json: bool) -> io::Result<String> {
     let mut stream = connect(socket)?;
     let form = if json { " json" } else { "" };
     stream.write_all(format!("{command}{form}\n").as_bytes())?;

@@ -14,7 +14,7 @@ use std::str::FromStr;
 use hal::{ARM_NAMES, Chunk, PerArm};
 use serde::Serialize;
 use trocar_control::{AnyController, Fault, Mode, OperatingState, OperatorEvent};
-use trocar_log::TickRecord;
+use trocar_log::{RunMark, RunNote, TickRecord};
 
 use crate::console::ControlTap;
 use crate::mailbox::{MailboxWriter, mailbox};
@@ -24,8 +24,11 @@ pub use client::{Ask, QueryClient, ask};
 pub use place::check;
 pub(super) use server::{Listener, Served};
 
+/// The word for no mark.
+const NO_MARK: &str = "none";
+
 /// What an operator can say.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
     /// Nothing: what are the arms doing?
     Status,
@@ -33,6 +36,13 @@ pub enum Command {
     Home,
     /// End the run: the arms come to rest first.
     Stop,
+    /// How a run went that no task judges.
+    Mark {
+        /// How; none takes the mark back.
+        mark: Option<RunMark>,
+        /// What the run is called from now on; as before if not given.
+        label: Option<String>,
+    },
     /// Something for the controller.
     Event(OperatorEvent),
 }
@@ -40,7 +50,7 @@ pub enum Command {
 /// A line that is no command.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{0:?} is no command: status, enable, disable, pause, resume, home, clear, stop, or speed PERCENT with 1 to 100, each with json behind it or not"
+    "{0:?} is no command: status, enable, disable, pause, resume, home, clear, stop, speed PERCENT with 1 to 100, or mark success, failure, discard or none, and a label as a JSON string or not, each with json behind it or not"
 )]
 pub struct UnknownCommand(String);
 
@@ -76,6 +86,9 @@ impl FromStr for Command {
     type Err = UnknownCommand;
 
     fn from_str(line: &str) -> Result<Self, UnknownCommand> {
+        if let Some(said) = line.trim().strip_prefix("mark ") {
+            return mark(said).ok_or_else(|| UnknownCommand(line.to_owned()));
+        }
         let mut words = line.split_ascii_whitespace();
         let command = match (words.next(), words.next(), words.next()) {
             (Some("status"), None, None) => Self::Status,
@@ -96,12 +109,33 @@ impl FromStr for Command {
     }
 }
 
+/// What `mark` is said with: the mark's name, and behind it a label as a JSON string or none.
+fn mark(said: &str) -> Option<Command> {
+    let said = said.trim();
+    let (name, label) = match said.split_once(' ') {
+        Some((name, label)) => (name, Some(serde_json::from_str(label).ok()?)),
+        None => (said, None),
+    };
+    let mark = match name {
+        NO_MARK => None,
+        name => Some(RunMark::named(name)?),
+    };
+    Some(Command::Mark { mark, label })
+}
+
 impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Status => f.write_str("status"),
             Self::Home => f.write_str("home"),
             Self::Stop => f.write_str("stop"),
+            Self::Mark { mark, label } => {
+                write!(f, "mark {}", mark.map_or(NO_MARK, RunMark::name))?;
+                match label {
+                    Some(label) => write!(f, " {}", serde_json::Value::from(label.as_str())),
+                    None => Ok(()),
+                }
+            }
             Self::Event(OperatorEvent::Enable) => f.write_str("enable"),
             Self::Event(OperatorEvent::Disable) => f.write_str("disable"),
             Self::Event(OperatorEvent::Pause) => f.write_str("pause"),
@@ -205,6 +239,9 @@ struct Response {
     /// Seconds since the run began, of control.
     seconds: Option<f64>,
     arms: Vec<ArmResponse>,
+    /// Present if it was asked for, and a person may say how the run went: what they say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    said: Option<RunNote>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -237,6 +274,7 @@ impl Response {
                     fault: fault.map(|fault| fault.to_string()),
                 })
                 .collect(),
+            said: None,
         }
     }
 }
@@ -258,18 +296,34 @@ impl fmt::Display for Response {
                 write!(f, " ({fault})")?;
             }
         }
-        Ok(())
+        match &self.said {
+            Some(said) => write!(f, "; {said}"),
+            None => Ok(()),
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Command, OperatorEvent};
+    use super::{Command, OperatorEvent, RunMark};
 
     #[test]
     fn commands_are_read_as_they_are_written() {
         for text in [
-            "status", "home", "stop", "enable", "disable", "pause", "resume", "clear", "speed 40",
+            "status",
+            "home",
+            "stop",
+            "enable",
+            "disable",
+            "pause",
+            "resume",
+            "clear",
+            "speed 40",
+            "mark success",
+            "mark failure",
+            "mark none",
+            r#"mark discard """#,
+            r#"mark none "the \"third\" try.json""#,
         ] {
             let command: Command = text.parse().unwrap();
             assert_eq!(command.to_string(), text);
@@ -277,6 +331,12 @@ mod tests {
         let percent = 100;
         let full = Command::Event(OperatorEvent::Speed { percent });
         assert_eq!(" speed  100 ".parse(), Ok(full));
+        let marked = Command::Mark {
+            mark: Some(RunMark::Discard),
+            label: Some("two\nlines".to_owned()),
+        };
+        assert_eq!(marked.to_string(), r#"mark discard "two\nlines""#);
+        assert_eq!(r#" mark  discard   "two\nlines" "#.parse(), Ok(marked));
         for text in [
             "",
             "Pause",
@@ -285,6 +345,12 @@ mod tests {
             "speed 101",
             "speed 1 2",
             "pause now",
+            "mark",
+            "mark good",
+            "mark success third try",
+            r#"mark success "third" "try""#,
+            "mark success 3",
+            r#"mark "third try""#,
         ] {
             let refused = text.parse::<Command>().unwrap_err();
             assert!(refused.to_string().contains("is no command: status"));

@@ -12,14 +12,16 @@ use std::time::Duration;
 
 use rtrb::{Producer, RingBuffer};
 use trocar_control::OperatorEvent;
+use trocar_log::RunMark;
 
 use super::{Command, OperatorPort, Query, Response, Status, place};
 use crate::console::RunView;
 use crate::mailbox::{MailboxReader, mailbox};
 use crate::rt;
+use crate::session::teleop::HandsMessageError;
 
 /// Bytes that a line may have.
-const LINE_MAX: u64 = 200;
+const LINE_MAX: u64 = 1000;
 /// Operators at a time.
 const OPERATORS_MAX: usize = 8;
 /// Commands that may wait for the control thread.
@@ -211,7 +213,13 @@ impl Listener {
         let status = self.look();
         let begun = || status.ok_or("the control loop has not begun");
         let done = match command {
-            Command::Status => Ok(status),
+            Command::Status => return self.tell(status.as_ref()),
+            Command::Mark { mark, label } => {
+                return match self.mark(mark, label.as_deref()) {
+                    Ok(()) => self.tell(status.as_ref()),
+                    Err(error) => Response::of(status.as_ref(), Some(error.to_string())),
+                };
+            }
             Command::Home => begun().and_then(|status| {
                 let homed = status.arms.iter().all(|(mode, _)| mode.homed);
                 homed.then_some(Some(status)).ok_or(
@@ -237,6 +245,20 @@ impl Listener {
             Ok(status) => Response::of(status.as_ref(), None),
             Err(error) => Response::of(status.as_ref(), Some(error.to_owned())),
         }
+    }
+
+    /// What the arms are doing, and what a person says of the run.
+    fn tell(&self, status: Option<&Status>) -> Response {
+        Response {
+            said: self.view.get().and_then(|view| view.hands().said()),
+            ..Response::of(status, None)
+        }
+    }
+
+    /// Marks the run, and labels it if `label` is given, as a page does.
+    fn mark(&self, mark: Option<RunMark>, label: Option<&str>) -> Result<(), HandsMessageError> {
+        let view = self.view.get().ok_or(HandsMessageError::NoMark)?;
+        view.hands().say(mark, label)
     }
 
     /// Hands `event` to the control thread and waits for what comes of it.

@@ -9,16 +9,17 @@ use crate::session::pictures::Thumbnails;
 use crate::session::plan::Arms;
 use crate::session::run::RunResult;
 use crate::session::summary::{RealTimeCounts, RunSummary};
+use crate::session::teleop::Hands;
 
-/// Closes the log of a run of `plan` that `ended` so, and sums up.
+/// Closes the log of a run of `plan` that `ended` so and was marked at these hands, if it was, and sums up.
 pub(super) fn closed<R, S: Arms>(
     plan: &Plan<S>,
     control: &ControlEnd<R>,
     ended: &Ended,
-    log: Option<LogFile>,
+    (log, marked_by): (Option<LogFile>, Option<&Hands>),
 ) -> RunResult {
     // The log and the result say the same of it, and nobody marks a run that has ended.
-    let said = plan.take_said();
+    let said = marked_by.and_then(Hands::take_said).unwrap_or_default();
     let mut log_dropped = control.log_dropped;
     let mut log_failure = None;
     if let Some(log) = log {

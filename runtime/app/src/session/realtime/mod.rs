@@ -260,7 +260,7 @@ fn conclude(
             )
         }
     };
-    let result = closed(plan, &control, &ended, log);
+    let result = closed(plan, &control, &ended, (log, None));
     let (_, (simulation, frames)) = others?;
     Ok(RunResult {
         pictures: frames.pictures.unwrap_or_default(),

@@ -1,5 +1,7 @@
 //! What the console hears of a run: ends for the control thread and the simulation, and for whoever shows its scene.
 
+use std::sync::Arc;
+
 use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::TaskConfig;
@@ -15,7 +17,7 @@ use crate::rt::MonotonicClock;
 use crate::session::operator::{Listener, OperatorPort};
 use crate::session::plan::Arms;
 use crate::session::scene_options::BASELINE_M;
-use crate::session::teleop::picture;
+use crate::session::teleop::{Hands, picture};
 use crate::session::{Plan, SessionError};
 
 /// Shows a simulated task, steered at `listener`: the end for the simulation, and the scene that pages are shown, if there is a console.
@@ -96,6 +98,8 @@ pub(super) struct RigPages {
     pub(super) world: Option<WorldForPages>,
     /// Of a robot without a task, if there is a console.
     pub(super) arms: Option<ArmsScene>,
+    /// Where a person says how the run goes, if that is asked.
+    pub(super) marked_by: Option<Arc<Hands>>,
 }
 
 /// Shows the scene of a `world` of another process on the pages of the console of `plan`, which begins with `start` if that is known.
@@ -129,11 +133,12 @@ pub(super) fn show_rig<S: Arms>(
         facts = facts.moved_in(picture_of(&setup.task));
     }
     let Some(console) = &plan.console else {
-        show_operator(facts, listener, port);
+        let hands = show_operator(facts, listener, port);
         return RigPages {
             cameras: None,
             world: world.map(|world| world.told_to(None)),
             arms: None,
+            marked_by: hands.and_then(|hands| marked_by(plan, hands)),
         };
     };
     if world.as_ref().is_some_and(WorldTopics::has_scene) {
@@ -144,26 +149,37 @@ pub(super) fn show_rig<S: Arms>(
         listener.show(taps.view);
     }
     port.tap = Some(taps.control);
-    // Nothing judges a robot's run but a person.
-    if task.is_none() && plan.log.is_some() {
-        console.hands().ask_for_mark();
-    }
     let arms = &plan.setup.robot().control.arms;
     let scene = || ArmsScene::new(console, arms, &cameras);
     RigPages {
         arms: task.is_none().then(scene),
         cameras: Some(CameraPages::of(console, cameras)),
         world: world.map(|world| world.told_to(Some(taps.task))),
+        marked_by: marked_by(plan, console.hands()),
     }
 }
 
-/// Shows a run that no page shows to whoever asks at `listener`.
-fn show_operator(facts: Facts, listener: Option<&Listener>, port: &mut OperatorPort) {
-    if let Some(listener) = listener {
-        let taps = unseen_run(facts, Some(listener.path().to_owned()));
-        listener.show(taps.view);
-        port.tap = Some(taps.control);
+/// The hands, at which a person may say from now on how the run goes; none if a task judges it, or no log keeps what they say.
+fn marked_by<S: Arms>(plan: &Plan<S>, hands: Arc<Hands>) -> Option<Arc<Hands>> {
+    if plan.setup.task().is_some() || plan.log.is_none() {
+        return None;
     }
+    hands.ask_for_mark();
+    Some(hands)
+}
+
+/// Shows a run that no page shows to whoever asks at `listener`: the hands of an operator there.
+fn show_operator(
+    facts: Facts,
+    listener: Option<&Listener>,
+    port: &mut OperatorPort,
+) -> Option<Arc<Hands>> {
+    let listener = listener?;
+    let taps = unseen_run(facts, Some(listener.path().to_owned()));
+    let hands = Arc::clone(taps.view.hands());
+    listener.show(taps.view);
+    port.tap = Some(taps.control);
+    Some(hands)
 }
 
 fn facts_of<S: Arms>(plan: &Plan<S>, title: &str, cameras: Vec<String>) -> Facts {

@@ -8,7 +8,7 @@ use super::clutch::{Clutch, ReleaseCause};
 use super::demonstration::EpisodeCommand;
 use super::held::Held;
 use super::latency::{Counts, TeleopSummary, Transit};
-use super::message::{Hand, HandsMessage, HandsMessageError};
+use super::message::{Hand, HandsMessage, HandsMessageError, label};
 use super::status::{ArmStatus, Phase, Recording, TeleopStatus, numbers};
 use super::{ALIGNS_DEG, Commanded, Driver, SCALES, STALE_NS};
 use crate::mailbox::MailboxReader;
@@ -305,17 +305,18 @@ impl Hands {
     /// The demonstration under way is called `text` in the dataset, or the run that asks for a mark in its log.
     ///
     /// # Errors
-    /// [`HandsMessageError::NoRecording`] if nothing is recorded.
-    pub(crate) fn set_label(&self, text: String) -> Result<(), HandsMessageError> {
+    /// [`HandsMessageError::Label`] if `text` is none, [`HandsMessageError::NoRecording`] if nothing is recorded.
+    pub(crate) fn set_label(&self, text: &str) -> Result<(), HandsMessageError> {
+        let label = label(text)?;
         let mut inner = self.lock();
         if let Some(said) = &mut inner.said {
-            text.trim().clone_into(&mut said.label);
+            label.clone_into(&mut said.label);
             return Ok(());
         }
         if inner.recording.is_none() {
             return Err(HandsMessageError::NoRecording);
         }
-        inner.label = text;
+        label.clone_into(&mut inner.label);
         Ok(())
     }
 

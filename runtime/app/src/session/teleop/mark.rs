@@ -4,7 +4,7 @@ use trocar_log::{RunMark, RunNote};
 
 use super::demonstration::EpisodeCommand;
 use super::hands::Hands;
-use super::message::HandsMessageError;
+use super::message::{HandsMessageError, label};
 
 impl Hands {
     /// From now on a person may say how the run went; nothing is said yet.
@@ -18,8 +18,23 @@ impl Hands {
     /// # Errors
     /// [`HandsMessageError::NoMark`] if the run does not ask for it.
     pub(crate) fn mark(&self, mark: Option<RunMark>) -> Result<(), HandsMessageError> {
+        self.say(mark, None)
+    }
+
+    /// The run went so, or that is not said any more; it is called `text` from now on, if that is given.
+    ///
+    /// # Errors
+    /// [`HandsMessageError::NoMark`] if the run does not ask for it, [`HandsMessageError::Label`] if `text` is none; nothing is marked then.
+    pub(crate) fn say(
+        &self,
+        mark: Option<RunMark>,
+        text: Option<&str>,
+    ) -> Result<(), HandsMessageError> {
         let mut inner = self.lock();
         let said = inner.said.as_mut().ok_or(HandsMessageError::NoMark)?;
+        if let Some(text) = text {
+            label(text)?.clone_into(&mut said.label);
+        }
         if said.mark != mark {
             said.mark = mark;
             inner.marked = Some(mark);

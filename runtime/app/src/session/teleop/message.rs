@@ -4,6 +4,9 @@ use hal::{ARMS_MAX, Pose};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
+/// Characters that a label may have.
+const LABEL_CHARS_MAX: usize = 64;
+
 /// How far from the middle of its space a hand can be, m.
 const REACH_M_MAX: f64 = 10.0;
 
@@ -59,6 +62,9 @@ pub(crate) enum HandsMessageError {
     /// The page does not steer.
     #[error("only the page that steers moves the arms: take control first")]
     NoSeat,
+    /// The page that says how the run went does not steer.
+    #[error("only the page that steers marks and labels the run: take control first")]
+    NoSeatToMark,
     /// The hands are devices at the run's own computer.
     #[error("the arms are moved by --hands at the robot's computer: a page looks on")]
     Desk,
@@ -82,6 +88,11 @@ pub(crate) enum HandsMessageError {
     /// Nobody is asked how the run went.
     #[error("this run is marked by nobody: it has a task that judges it, or no log")]
     NoMark,
+    /// The text is no label.
+    #[error(
+        "a label is one line of up to {LABEL_CHARS_MAX} characters, none of them a control character, U+2028 or U+2029"
+    )]
+    Label,
     /// The wish does not fit how the episode stands.
     #[error("that does not apply now: an episode is started first, and ended once")]
     NotNow,
@@ -91,6 +102,18 @@ pub(crate) enum HandsMessageError {
     /// The bound of the alignment is out of range.
     #[error("the angle within which a controller engages is a number of degrees in [5, 180]")]
     Align,
+}
+
+/// What a run or a demonstration is called: `text` without blanks at its ends.
+///
+/// # Errors
+/// [`HandsMessageError::Label`] if it is too long, or would break a line.
+pub(super) fn label(text: &str) -> Result<&str, HandsMessageError> {
+    let breaks = |letter: char| letter.is_control() || matches!(letter, '\u{2028}' | '\u{2029}');
+    if text.chars().count() > LABEL_CHARS_MAX || text.chars().any(breaks) {
+        return Err(HandsMessageError::Label);
+    }
+    Ok(text.trim())
 }
 
 impl HandsMessage {

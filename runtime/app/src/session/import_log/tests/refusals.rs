@@ -4,8 +4,10 @@ use std::fs;
 use std::path::PathBuf;
 
 use hal::ArmError;
+use trocar_log::{LogEnd, RunOutcome};
 
 use super::super::LogImportOptions;
+use super::super::episode::whole;
 use super::hand_made::{Feed, HandMade, jittered, options};
 use super::*;
 
@@ -158,6 +160,24 @@ fn a_log_that_is_not_its_whole_run_is_refused() {
         ..HandMade::default()
     };
     check("crashed", &crashed, "it does not say how its run ended");
+}
+
+/// What the operator said is not dropped, whatever it means.
+#[test]
+fn a_mark_that_is_not_known_is_refused() {
+    let end = |mark: Option<&str>| LogEnd {
+        outcome: Some(RunOutcome::default()),
+        unknown_mark: mark.map(str::to_owned),
+        ..LogEnd::default()
+    };
+    let log = PathBuf::from("a.mcap");
+    whole(&log, end(None)).unwrap();
+    let error = whole(&log, end(Some("good"))).unwrap_err();
+    assert!(error.is_bad_input(), "{error}");
+    assert_eq!(
+        error.to_string(),
+        "a.mcap: its mark is \"good\", which is none of success, failure and discard; import it with the version that recorded it"
+    );
 }
 
 #[test]

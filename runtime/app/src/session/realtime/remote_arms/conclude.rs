@@ -13,6 +13,7 @@ use crate::histogram::Histogram;
 use crate::session::ended::Ended;
 use crate::session::plan::Arms;
 use crate::session::run::RunResult;
+use crate::session::teleop::Hands;
 use crate::session::{Plan, SessionError};
 
 /// What an observing thread leaves behind.
@@ -51,11 +52,11 @@ impl Seen for RobotEnd {
     }
 }
 
-/// Closes the log, whatever happened, and sums up.
+/// Closes the log of a run that was marked at these hands, if it was, whatever happened, and sums up.
 pub(super) fn conclude<S: Arms, T: Seen, L: ArmLink>(
     plan: &Plan<S>,
     ends: Ends<L::Rig, T>,
-    log: Option<LogFile>,
+    (log, marked_by): (Option<LogFile>, Option<&Hands>),
     link: &L,
 ) -> Result<RunResult, SessionError> {
     let Ends {
@@ -90,7 +91,7 @@ pub(super) fn conclude<S: Arms, T: Seen, L: ArmLink>(
     control.tally.inferences(&watched.inference);
     control.tally.restarts(watched.restarts);
     control.tally.inferences(seen.inference());
-    let mut result = closed(plan, &control, &ended, log);
+    let mut result = closed(plan, &control, &ended, (log, marked_by));
     result.summary.can = link.summary(&control.rig);
     Ok(result)
 }

@@ -57,8 +57,8 @@ use scene_thread::{SceneThread, frames};
 pub use awaited::PrintLine;
 pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS, Wanted, cameras};
 pub(super) use bus_log::BusLog;
-pub use options::CanOptions;
 pub(super) use happened::CanEventLog;
+pub use options::CanOptions;
 pub(super) use scene_thread::{arm_reports, logged, seen_at};
 pub use topics::TopicArms;
 
@@ -232,6 +232,7 @@ fn run_task<L: ArmLink>(
             cameras: camera_pages,
             world: world_pages,
             arms: _,
+            marked_by: _,
         } = watching.pages;
         let names = match &camera_pages {
             Some(_) => plan.setup.camera_names(),
@@ -309,7 +310,7 @@ fn run_robot<L: ArmLink>(
         let robot_thread = RobotThread::new(seen, local, reports, cameras, (asked, supervised));
         let robot_thread = robot_thread.moved_by(by_hand);
         let robot_thread = robot_thread.shown_on(pages.cameras).shown_in(pages.arms);
-        let robot_thread = robot_thread.marked_at(plan.console.as_ref());
+        let robot_thread = robot_thread.marked_by(pages.marked_by);
         let robot_thread = robot_thread.woken_by(node.events()?);
         Ok(|| robot_thread.run())
     })
@@ -385,6 +386,7 @@ impl<L: ArmLink> Begun<'_, L> {
         let world = views.world;
         let world = world.map(|world| world.logged_in(channels.scenes));
         let pages = show_rig(plan, buses, (names, world), port);
+        let marked_by = pages.marked_by.clone();
         let reports = arm_reports(&node, robot.arms(), child.is_some())?;
         let (local, remote) = wired(plan, source, child.as_mut(), channels.chunk_in, clock);
         let (by_hand, local, hands) = ByHand::of(plan, local);
@@ -409,7 +411,7 @@ impl<L: ArmLink> Begun<'_, L> {
         let signals = Arc::clone(enabling.control.signals());
         let served = (&*signals, channels.listener.as_ref(), clock);
         let ends = threads::run(remote, served, || enabling.run(), observe);
-        conclude(plan, ends, channels.log, link)
+        conclude(plan, ends, (channels.log, marked_by.as_deref()), link)
     }
 }
 

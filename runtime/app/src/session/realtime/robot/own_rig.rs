@@ -69,7 +69,7 @@ pub(super) fn run_seeing<R: Rig + Send>(
     );
     let robot_thread = robot_thread.moved_by(by_hand);
     let robot_thread = robot_thread.shown_on(pages.cameras).shown_in(pages.arms);
-    let robot_thread = robot_thread.marked_at(plan.console.as_ref());
+    let robot_thread = robot_thread.marked_by(pages.marked_by.clone());
     let control = move || {
         // Until the drives are taken down.
         let _moving = Moving;
@@ -97,7 +97,8 @@ pub(super) fn run_seeing<R: Rig + Send>(
     };
     let ended = robot_ended(&seen, &watched, control.tally.faults());
     control.tally.inferences(&seen.inference);
-    Ok(closed(plan, &control, &ended, channels.log))
+    let log = (channels.log, pages.marked_by.as_deref());
+    Ok(closed(plan, &control, &ended, log))
 }
 
 /// What a policy can't have behind a rig of one's own.

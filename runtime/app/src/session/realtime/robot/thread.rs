@@ -14,7 +14,6 @@ use super::super::shown::CameraPages;
 use super::super::signals::EndRunOnDrop;
 use super::sight::{CameraMonitor, Rules};
 use super::{ArmsScene, RobotOptions};
-use crate::console::Console;
 use crate::histogram::Histogram;
 use crate::rt;
 use crate::session::SessionError;
@@ -48,7 +47,7 @@ pub(in super::super) struct RobotThread {
     events: Option<Events>,
     /// Pages that are shown frames.
     pages: Option<CameraPages>,
-    /// Where a person says how the run goes.
+    /// Where a person says how the run goes, if that is asked.
     marked_by: Option<Arc<Hands>>,
     /// Pages that are shown the instruments.
     scene: Option<ArmsScene>,
@@ -142,9 +141,8 @@ impl RobotThread {
         Self { scene, ..self }
     }
 
-    /// The same thread, which tells the log how a person at `console` marks the run.
-    pub(in super::super) fn marked_at(self, console: Option<&Console>) -> Self {
-        let marked_by = console.map(Console::hands);
+    /// The same thread, which tells the log how the run is marked at `marked_by`, if that is asked.
+    pub(in super::super) fn marked_by(self, marked_by: Option<Arc<Hands>>) -> Self {
         Self { marked_by, ..self }
     }
 
