@@ -4,13 +4,15 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::thread::{self, JoinHandle};
 
-use trocar_nets::checkpoint::is_read;
+use trocar_nets::checkpoint::{WEIGHTS, is_read};
 
-use crate::session::SessionError;
 use crate::digest::hash_file;
+use crate::session::SessionError;
 
 /// A checkpoint's files as they were.
+#[derive(Clone)]
 pub(super) struct CheckpointFiles {
     folder: PathBuf,
     /// SHA-256 by name.
@@ -18,18 +20,33 @@ pub(super) struct CheckpointFiles {
 }
 
 impl CheckpointFiles {
-    /// Those in `folder`.
-    pub(super) fn read(folder: &Path) -> Result<Self, SessionError> {
-        let hashes = hashes(folder).map_err(|error| unreadable(folder, &error))?;
+    /// Those in `folder`; the SHA-256 of its weights is not taken again if it is known.
+    pub(super) fn read(folder: &Path, weights_sha256: Option<&str>) -> Result<Self, SessionError> {
+        let hashes = hashes(folder, weights_sha256).map_err(|error| unreadable(folder, &error))?;
         Ok(Self {
             folder: folder.to_owned(),
             hashes,
         })
     }
 
+    /// Where they are.
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Begins to compare them with what is there now.
+    pub(super) fn begin_check(&self) -> Result<FilesCheck, SessionError> {
+        let files = self.clone();
+        let thread = thread::Builder::new()
+            .name("policy-files".to_owned())
+            .spawn(move || files.check_unchanged());
+        let thread = thread.map_err(|error| unreadable(&self.folder, &error))?;
+        Ok(FilesCheck(thread))
+    }
+
     /// Refuses them by name if they are not the same any more.
-    pub(super) fn check_unchanged(&self) -> Result<(), SessionError> {
-        let now = hashes(&self.folder).map_err(|error| unreadable(&self.folder, &error))?;
+    fn check_unchanged(&self) -> Result<(), SessionError> {
+        let now = hashes(&self.folder, None).map_err(|error| unreadable(&self.folder, &error))?;
         let names = self.hashes.keys().chain(now.keys());
         let mut changed = names.filter(|name| self.hashes.get(*name) != now.get(*name));
         changed.next().map_or(Ok(()), |name| {
@@ -41,13 +58,34 @@ impl CheckpointFiles {
     }
 }
 
-fn hashes(folder: &Path) -> io::Result<BTreeMap<String, String>> {
+/// A comparison under way, in a thread of its own: whoever looks at signals does not wait until weights are hashed.
+pub(super) struct FilesCheck(JoinHandle<Result<(), SessionError>>);
+
+impl FilesCheck {
+    /// Whether [`Self::found`] would not wait.
+    pub(super) fn is_done(&self) -> bool {
+        self.0.is_finished()
+    }
+
+    /// Refuses the files by name if they are not the same any more.
+    pub(super) fn found(self) -> Result<(), SessionError> {
+        let died = || SessionError::RealTime("the check of the policy's files has died".to_owned());
+        self.0.join().unwrap_or_else(|_| Err(died()))
+    }
+}
+
+/// SHA-256 of each file in `folder` that is read; that of the weights is `weights_sha256`, if it is known.
+fn hashes(folder: &Path, weights_sha256: Option<&str>) -> io::Result<BTreeMap<String, String>> {
     let mut hashes = BTreeMap::new();
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         if is_read(&name) && path.is_file() {
-            hashes.insert(name.into_owned(), hash_file(&path)?);
+            let hash = match weights_sha256.filter(|_| name == WEIGHTS) {
+                Some(known) => known.to_owned(),
+                None => hash_file(&path)?,
+            };
+            hashes.insert(name.into_owned(), hash);
         }
     }
     Ok(hashes)
@@ -69,8 +107,11 @@ mod tests {
         let (weights, recipe) = (folder.join("model.safetensors"), folder.join("trocar.json"));
         fs::write(&weights, [1, 2, 3]).unwrap();
         fs::write(&recipe, "{}").unwrap();
-        let files = CheckpointFiles::read(&folder).unwrap();
-        let changed = || files.check_unchanged().map_err(|error| error.to_string());
+        let files = CheckpointFiles::read(&folder, None).unwrap();
+        let changed = || {
+            let check = files.begin_check().unwrap();
+            check.found().map_err(|error| error.to_string())
+        };
         for name in ["loss.csv", "evaluation.json", "optimiser.safetensors"] {
             fs::write(folder.join(name), "not read").unwrap();
         }
@@ -84,6 +125,12 @@ mod tests {
             Ok(()),
             "by what it holds, not by when it was written"
         );
+        let known = hash_file(&weights).unwrap();
+        for (known, same) in [(known.as_str(), true), ("5a", false)] {
+            let files = CheckpointFiles::read(&folder, Some(known)).unwrap();
+            let check = files.begin_check().unwrap();
+            assert_eq!(check.found().is_ok(), same, "weights are known by {known}");
+        }
         fs::write(folder.join("config.json"), "{}").unwrap();
         assert!(changed().unwrap_err().contains("config.json has changed"));
         fs::remove_file(folder.join("config.json")).unwrap();

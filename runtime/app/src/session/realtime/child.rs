@@ -14,7 +14,7 @@ use trocar_topics::{
 };
 
 use super::arm_chunks::ArmChunks;
-use super::checkpoint_files::CheckpointFiles;
+use super::checkpoint_files::{CheckpointFiles, FilesCheck};
 use super::child_process::{ChildProcess, Spawned};
 use super::policy_process::FIRST_ARM;
 use super::remote_arms::PrintLine;
@@ -66,6 +66,28 @@ impl Outside<'_> {
 struct OwnProcess {
     process: ChildProcess<PolicyStatus>,
     files: CheckpointFiles,
+    /// While it is to be started again, and its files are compared.
+    check: Option<FilesCheck>,
+}
+
+impl OwnProcess {
+    /// Starts the process again once its files were found to be the same; whether it has been.
+    fn start_checked(&mut self) -> Result<bool, SessionError> {
+        let Some(check) = self.check.take_if(|check| check.is_done()) else {
+            return Ok(false);
+        };
+        check.found()?;
+        self.process.start_again()?;
+        Ok(true)
+    }
+
+    /// Why it says no more, if so; one that is to be started again has ended for good.
+    fn ended(&mut self) -> Option<String> {
+        match self.check {
+            Some(_) => None,
+            None => self.process.exit(),
+        }
+    }
 }
 
 /// Whose process it is.
@@ -141,7 +163,7 @@ impl Peer {
     /// Why it says no more in `episode`, if so.
     fn ended(&mut self, episode: u64) -> Result<Option<String>, SessionError> {
         match self {
-            Self::Own(own) => Ok(own.process.exit()),
+            Self::Own(own) => Ok(own.ended()),
             Self::External(link) => {
                 if let Some(reply) = link.replies.newest()?
                     && reply.episode == episode
@@ -185,13 +207,13 @@ pub(super) struct PolicyChild {
 }
 
 impl PolicyChild {
-    /// Starts the process and waits until it has loaded the checkpoint in `policy`.
+    /// Starts the process and waits until it has loaded the checkpoint of `files`.
     ///
     /// Of it no more than the `outline` is read here: what is wrong with the weights, the process says on standard error.
     /// Its topics, and the frames, are `outside`.
     pub(super) fn start(
         outline: &PolicyOutline,
-        policy: &Path,
+        files: CheckpointFiles,
         (seed, compute): (u64, Compute),
         outside: Outside<'_>,
         say: PrintLine<'_>,
@@ -201,10 +223,12 @@ impl PolicyChild {
         let control = RunControlTopic::publisher(&node, FIRST_ARM)?;
         let status = PolicyStatusTopic::subscriber(&node, FIRST_ARM)?;
         let chunks = ArmChunks::open(&node, outline.recipe.arms)?;
-        let spawned = policy_verb(policy, compute, outside);
+        let policy = files.folder().to_owned();
+        let spawned = policy_verb(&policy, compute, outside);
         let own = OwnProcess {
-            files: CheckpointFiles::read(policy)?,
             process: ChildProcess::start(spawned, node, (control, status))?,
+            files,
+            check: None,
         };
         let shown = (query_every_steps, outline.history_steps);
         let peer = Peer::Own(Box::new(own));
@@ -274,6 +298,14 @@ impl PolicyChild {
             Peer::Own(own) => own.process.exit_code() == Some(BAD_INPUT),
             Peer::External(_) => false,
         }
+    }
+
+    /// Tells it to begin the next episode. Nothing that was said before counts.
+    fn begin_anew(&mut self) -> Result<(), SessionError> {
+        self.episode += 1;
+        self.queries = 0;
+        self.numbered_from = self.highest;
+        self.tell_to_begin()
     }
 
     fn tell_to_begin(&self) -> Result<(), SessionError> {
@@ -363,14 +395,11 @@ impl Remote for PolicyChild {
 
     /// Our own process is started again, with the same checkpoint or not at all; an external one is told to begin again, and may be another process by then.
     fn call_again(&mut self) -> Result<(), SessionError> {
-        if let Peer::Own(own) = &mut self.peer {
-            own.files.check_unchanged()?;
-            own.process.start_again()?;
+        match &mut self.peer {
+            Peer::Own(own) => own.check = Some(own.files.begin_check()?),
+            Peer::External(_) => self.begin_anew()?,
         }
-        self.episode += 1;
-        self.queries = 0;
-        self.numbered_from = self.highest;
-        self.tell_to_begin()
+        Ok(())
     }
 
     /// Whether it has begun as it was told, and answers from now on.
@@ -391,8 +420,15 @@ impl Remote for PolicyChild {
     }
 
     fn is_back(&mut self, now: TimeNs) -> Result<bool, SessionError> {
-        if let Peer::External(link) = &mut self.peer {
-            link.welcome()?;
+        match &mut self.peer {
+            Peer::Own(own) if own.check.is_some() => {
+                if own.start_checked()? {
+                    self.begin_anew()?;
+                }
+                return Ok(false);
+            }
+            Peer::Own(_) => {}
+            Peer::External(link) => link.welcome()?,
         }
         let back = self.is_ready()?;
         if back {

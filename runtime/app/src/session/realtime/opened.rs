@@ -4,6 +4,7 @@ use std::path::Path;
 
 use trocar_nets::loaded_policy::PolicyOutline;
 
+use super::checkpoint_files::CheckpointFiles;
 use super::child::{Outside, PolicyChild, check_cameras};
 use super::remote_arms::PrintLine;
 use crate::session::external::{About, ExternalLink, check_wanted};
@@ -119,8 +120,10 @@ impl<'a> Opened<'a> {
         let child = match self {
             Self::Local(source) => return Ok((None, Some(*source))),
             Self::Network(outline, folder) => {
+                let weights = plan.setup.robot().weights_sha256.as_deref();
+                let files = CheckpointFiles::read(folder, weights)?;
                 let asked = (plan.seed, plan.compute);
-                PolicyChild::start(&outline, folder, asked, outside, say)?
+                PolicyChild::start(&outline, files, asked, outside, say)?
             }
             Self::External(link) => {
                 let arms = plan.setup.robot().arms();
