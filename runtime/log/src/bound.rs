@@ -9,8 +9,11 @@ use super::header::RunHeader;
 use super::snapshot::{SeenChunks, SnapshotQueue};
 use super::writer::LogWriter;
 
-/// What may be written between two checks of the size: all between two flushes, and the end.
+/// What may be written between two checks of the size, at least, and the end: room for twice as much as between any two before, if that is more.
 pub(super) const SPARE_BYTES: u64 = 2 << 20;
+
+/// Of a file this part is for the index of its chunks, which ends it: one of 250 ticks takes 0.4 % of what it stands for.
+const INDEX_PART: u64 = 256;
 
 /// What a log with a bound has besides.
 pub(super) struct Bounded {
@@ -22,32 +25,66 @@ pub(super) struct Bounded {
     pub(super) has_snapshots: bool,
 }
 
+/// Whether a file may go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fill {
+    /// Until the next check.
+    HasRoom,
+    /// The next file is to begin here if it can be replayed, for another check is possible.
+    Reached,
+    /// The next file is to begin here.
+    Overdue,
+}
+
 /// The bound of a log.
 pub(super) struct Bound {
     file_bytes_max: u64,
+    /// How large the file was when it was last checked, or had begun.
+    checked_bytes: u64,
+    /// The most that was written between two checks.
+    growth_bytes_max: u64,
     run: RunHeader,
 }
 
+/// How large the file at `path` is; of what has no size, nothing.
+fn size_bytes(path: &Path) -> u64 {
+    fs::metadata(path).map_or(0, |found| found.len())
+}
+
 impl Bound {
-    /// `bytes_max` for both files of the run `run`, of which one is at `path`. What an earlier run put aside there is no part of this one and
-    /// is removed.
+    /// `bytes_max` for both files of the run `run`, of which one is at `path` and has begun. What an earlier run put aside there is no part of
+    /// this one and is removed.
     pub(super) fn new(bytes_max: u64, run: &RunHeader, path: &Path) -> Self {
         let _absent = fs::remove_file(earlier(path));
+        let file_bytes_max = bytes_max / 2;
         Self {
-            file_bytes_max: (bytes_max / 2).saturating_sub(SPARE_BYTES),
+            file_bytes_max: file_bytes_max - file_bytes_max / INDEX_PART,
+            checked_bytes: size_bytes(path),
+            growth_bytes_max: 0,
             run: run.clone(),
         }
     }
 
-    /// Whether the file at `path` is as large as it may get.
-    pub(super) fn is_reached(&self, path: &Path) -> bool {
-        fs::metadata(path).is_ok_and(|found| found.len() >= self.file_bytes_max)
+    /// Whether the file at `path`, all of which was flushed, may go on if it is to end with `end_bytes` more.
+    pub(super) fn check(&mut self, path: &Path, end_bytes: u64) -> Fill {
+        let bytes = size_bytes(path);
+        let growth_bytes = bytes.saturating_sub(self.checked_bytes);
+        self.growth_bytes_max = self.growth_bytes_max.max(growth_bytes);
+        self.checked_bytes = bytes;
+        let left_bytes = self.file_bytes_max.saturating_sub(bytes + end_bytes);
+        let spare_bytes = SPARE_BYTES.max(2 * self.growth_bytes_max);
+        if left_bytes > spare_bytes {
+            Fill::HasRoom
+        } else if left_bytes > spare_bytes / 2 {
+            Fill::Reached
+        } else {
+            Fill::Overdue
+        }
     }
 
-    /// Whether it is so large that half of what is spare is gone.
-    pub(super) fn is_overdue(&self, path: &Path) -> bool {
-        let bytes_max = self.file_bytes_max + SPARE_BYTES / 2;
-        fs::metadata(path).is_ok_and(|found| found.len() >= bytes_max)
+    /// The file at `path` has begun: what it begins with is flushed.
+    pub(super) fn begin(&mut self, path: &Path) {
+        self.checked_bytes = size_bytes(path);
     }
 
     /// Puts the file at `path` aside and begins the next one, after `ticks` ticks.
@@ -76,4 +113,36 @@ impl Bound {
 /// Where what came before is.
 pub(super) fn earlier(path: &Path) -> PathBuf {
     path.with_extension("earlier.mcap")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::Scratch;
+
+    /// Whatever is written between two checks, a file with its end stays within its half, and one more check is possible before it must end.
+    #[test]
+    fn a_file_ends_in_time() {
+        let file = Scratch::new("bound");
+        let bytes_max = 256 << 20;
+        for growth_bytes in [70_000, 1_000_000, 6_000_000, 20_000_000] {
+            for end_bytes in [0, 50_000, 7_000_000] {
+                let sink = File::create(&file.0).unwrap();
+                let mut bound = Bound::new(bytes_max, &RunHeader::default(), &file.0);
+                let (mut bytes, mut waits) = (0, 0);
+                loop {
+                    bytes += growth_bytes;
+                    sink.set_len(bytes).unwrap();
+                    match bound.check(&file.0, end_bytes) {
+                        Fill::HasRoom => assert_eq!(waits, 0),
+                        Fill::Reached => waits += 1,
+                        Fill::Overdue => break,
+                    }
+                }
+                let (half, told) = (bytes_max / 2, format!("{growth_bytes}, {end_bytes}"));
+                assert!(bytes + end_bytes <= half && waits > 0, "{told}");
+                assert!(bytes + end_bytes > half * 3 / 4, "{told}");
+            }
+        }
+    }
 }

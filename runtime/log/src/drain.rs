@@ -12,7 +12,7 @@ use std::time::Duration;
 use hal::TimeNs;
 use rtrb::Consumer;
 
-use super::bound::Bounded;
+use super::bound::{Bounded, Fill};
 use super::error::LogError;
 use super::happened::StateChanges;
 use super::header::{Closing, LogCounts, RunOutcome};
@@ -166,11 +166,11 @@ impl Drain {
         let result = self.writer.tick(item);
         self.counts.ticks += 1;
         self.note(result);
-        if let Some(bounded) = &self.bounded
+        if let Some(bounded) = &mut self.bounded
             && !bounded.has_snapshots
             && self.failure.is_none()
             && self.writer.has_flushed(item.tick.now)
-            && bounded.bound.is_reached(&self.path)
+            && bounded.bound.check(&self.path, 0) != Fill::HasRoom
         {
             let next = bounded
                 .bound
@@ -180,8 +180,8 @@ impl Drain {
     }
 
     /// Where the controller's state has come for a tick up to that of `record`, which is to be written: begins the next file there if the
-    /// bound is reached. One that lacks a chunk, or is not of this very tick since ticks between were dropped, begins a file only where no more
-    /// can be waited for another: that file can't be replayed.
+    /// bound is reached, counting the state that ends the file. A state that lacks a chunk, or is not of this very tick since ticks between were
+    /// dropped, begins a file only where no more can be waited for another: that file can't be replayed.
     fn turn_at_snapshot(&mut self, record: u64) {
         let bounded = self.bounded.as_mut();
         let Some(item) = bounded.and_then(|bounded| bounded.snapshots.take(record)) else {
@@ -189,16 +189,18 @@ impl Drain {
         };
         let flushed = self.writer.flush(self.now);
         self.note(flushed);
-        if let Some(bounded) = &mut self.bounded {
-            bounded.has_snapshots = true;
-            let reached = self.failure.is_none() && bounded.bound.is_reached(&self.path);
-            let snapshot = (reached && item.record == record)
-                .then(|| SnapshotMessage::new(&item, &bounded.seen))
-                .flatten();
-            if snapshot.is_some() || (reached && bounded.bound.is_overdue(&self.path)) {
-                let next = bounded.bound.next(&self.path, record);
-                self.go_on(next, snapshot.as_ref());
-            }
+        let Some(bounded) = self.bounded.as_mut().filter(|_| self.failure.is_none()) else {
+            return;
+        };
+        bounded.has_snapshots = true;
+        let end_bytes = SnapshotMessage::bytes_max(&item, &bounded.seen);
+        let fill = bounded.bound.check(&self.path, end_bytes);
+        let snapshot = (fill != Fill::HasRoom && item.record == record)
+            .then(|| SnapshotMessage::new(&item, &bounded.seen))
+            .flatten();
+        if snapshot.is_some() || fill == Fill::Overdue {
+            let next = bounded.bound.next(&self.path, record);
+            self.go_on(next, snapshot.as_ref());
         }
     }
 
@@ -217,6 +219,8 @@ impl Drain {
                     self.note(written);
                     let written = self.writer.snapshot(self.now, snapshot);
                     self.note(written);
+                    let flushed = self.writer.flush(self.now);
+                    self.note(flushed);
                 }
                 let closing = Closing {
                     goes_on: true,
@@ -224,6 +228,9 @@ impl Drain {
                 };
                 let result = full.finish(closing);
                 self.note(result);
+                if let Some(bounded) = &mut self.bounded {
+                    bounded.bound.begin(&self.path);
+                }
             }
             Err(error) => self.fail(error),
         }
@@ -304,3 +311,6 @@ impl Drain {
         Ok(self.counts)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -11,6 +11,9 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Exact(pub(super) f64);
 
+/// Bytes of its JSON at most: a sign, 17 digits, the point, and an exponent such as `e-308`.
+pub(super) const EXACT_BYTES_MAX: usize = 24;
+
 /// What the text of a NaN begins with.
 const NAN: &str = "nan:";
 
@@ -84,6 +87,7 @@ mod tests {
 
     fn returned(value: f64) -> f64 {
         let text = serde_json::to_string(&Exact(value)).unwrap();
+        assert!(text.len() <= EXACT_BYTES_MAX, "{text}");
         let Exact(back) = serde_json::from_str(&text).unwrap();
         back
     }
@@ -98,6 +102,7 @@ mod tests {
             -5e-324,
             f64::MIN_POSITIVE,
             f64::MAX,
+            -1.234_567_890_123_456_7e-308,
             1e308,
             0.1,
             f64::INFINITY,

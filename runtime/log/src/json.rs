@@ -4,7 +4,7 @@ use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{ArmError, Chunk, TimeNs};
 use serde::{Deserialize, Serialize};
 
-use super::exact::{Exact, numbers, target};
+use super::exact::{EXACT_BYTES_MAX, Exact, numbers, target};
 use super::record::TickRecord;
 use trocar_control::OperatorEvent;
 
@@ -16,6 +16,9 @@ use trocar_control::OperatorEvent;
 pub(super) fn encoded(message: &impl Serialize) -> Vec<u8> {
     serde_json::to_vec(message).expect("a message has a JSON form")
 }
+
+/// Bytes of a chunk's target at most: its numbers, each with a comma, in brackets, and a comma.
+pub(super) const TARGET_BYTES_MAX: usize = 8 * (EXACT_BYTES_MAX + 1) + 3;
 
 /// `/policy/chunk`.
 #[derive(Debug, Serialize, Deserialize)]

@@ -5,6 +5,7 @@ mod damaged;
 mod falsified;
 mod kept;
 mod live;
+mod room;
 mod samples;
 pub(crate) mod two_arms;
 

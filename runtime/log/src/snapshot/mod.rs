@@ -4,13 +4,21 @@ mod queue;
 mod seen;
 
 use hal::Chunk;
+use hal::chunk::CHUNK_STEPS_MAX;
 use serde::{Deserialize, Serialize};
 
-use super::json::ChunkMessage;
+use super::json::{ChunkMessage, TARGET_BYTES_MAX};
 use trocar_control::{AnyController, CommandHash, HeldChunk, InputHash, Snapshot, SnapshotError};
 
 pub(super) use queue::{SnapshotFeed, SnapshotItem, SnapshotQueue, snapshot_queue};
 pub(super) use seen::SeenChunks;
+
+/// Hexadecimal digits of a word.
+const WORD_DIGITS: usize = 16;
+
+/// Bytes of a message without state and chunks, and of a chunk without its targets: names, punctuation, and numbers of 20 digits at most.
+const HEAD_BYTES_MAX: usize = 256;
+const HELD_BYTES_MAX: usize = 256;
 
 /// `/snapshot`.
 #[derive(Debug, Serialize, Deserialize)]
@@ -54,6 +62,17 @@ impl SnapshotMessage {
             chunks: held.collect::<Option<_>>()?,
         })
     }
+
+    /// Bytes that the message of `item` takes in a file at most; of a chunk that was dropped on its way the length is unknown.
+    pub(super) fn bytes_max(item: &SnapshotItem, seen: &SeenChunks) -> u64 {
+        let held = item.snapshot.held().iter().map(|held| {
+            let chunk = seen.find(held);
+            let steps = chunk.map_or(CHUNK_STEPS_MAX, |(_, chunk)| chunk.valid_targets().len());
+            HELD_BYTES_MAX + TARGET_BYTES_MAX * steps
+        });
+        let state = WORD_DIGITS * item.snapshot.state().len();
+        (HEAD_BYTES_MAX + state + held.sum::<usize>()) as u64
+    }
 }
 
 /// The controller's state between two ticks, as it is read back.
@@ -89,7 +108,7 @@ impl LoggedSnapshot {
             state,
             chunks: held,
         } = serde_json::from_slice(message).map_err(|error| error.to_string())?;
-        let (words, rest) = state.as_bytes().as_chunks::<16>();
+        let (words, rest) = state.as_bytes().as_chunks::<WORD_DIGITS>();
         let state: Option<Vec<u64>> = words.iter().map(|digits| word(digits)).collect();
         let state = state.filter(|_| rest.is_empty());
         let chunks: Option<Vec<Chunk>> = held.iter().map(|held| held.chunk.chunk()).collect();
@@ -112,14 +131,14 @@ impl LoggedSnapshot {
     }
 }
 
-/// The sixteen digits of a word.
+/// The digits of a word.
 fn hexadecimal(word: u64) -> String {
     format!("{word:016x}")
 }
 
-/// The word with these sixteen digits.
+/// The word with these digits.
 fn word(digits: &[u8]) -> Option<u64> {
     let text = core::str::from_utf8(digits).ok()?;
-    let plain = text.len() == 16 && !text.starts_with('+');
+    let plain = text.len() == WORD_DIGITS && !text.starts_with('+');
     plain.then(|| u64::from_str_radix(text, 16).ok()).flatten()
 }

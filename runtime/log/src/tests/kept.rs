@@ -22,8 +22,8 @@ use trocar_control::{
 /// Ticks of a run: of a file there are far fewer.
 const TICKS: u64 = 14_000;
 
-/// Bytes of a file.
-const FILE_BYTES: u64 = 300_000;
+/// Bytes of a file, about: the controller's state that may end it counts.
+const FILE_BYTES: u64 = 500_000;
 
 /// The files of a run of one arm, or of two.
 struct Files {
