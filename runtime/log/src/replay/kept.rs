@@ -1,11 +1,12 @@
 //! Where a replay begins in a log whose bound left out what came before, and what it says to the controller's state in a log.
 
-use hal::Chunk;
+use std::path::Path;
+
 use serde::Serialize;
 
 use super::{Difference, Recomputed, ReplayError};
-use crate::{LoggedSnapshot, Step};
-use trocar_control::{InputHash, Snapshot};
+use crate::bound::earlier;
+use crate::{LogError, LoggedSnapshot, RunHeader, Step, read_steps};
 
 /// The first tick of a log that does not begin with its run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -38,44 +39,55 @@ impl Recomputed {
 
     /// Compares the state that the log holds, at the tick `tick`, with the controller's.
     pub(super) fn other_state(&self, tick: u64, logged: &LoggedSnapshot) -> Option<Difference> {
-        let hex = |word: u64| format!("{word:016x}");
-        let found = |what: &str, logged: String, computed: String| Difference {
+        let own = LoggedSnapshot::of(&self.controller, logged.record, (self.inputs, self.hash));
+        let (what, [logged, computed]) = logged.difference(&own)?;
+        Some(Difference {
             tick,
             what: what.to_owned(),
             logged,
             computed,
-        };
-        let hashes = [
-            ("inputs", logged.inputs.value(), self.inputs.value()),
-            ("command_hash", logged.commands.value(), self.hash.value()),
-        ];
-        for (what, logged, computed) in hashes {
-            if logged != computed {
-                return Some(found(what, hex(logged), hex(computed)));
-            }
-        }
-        let mut own = Snapshot::new();
-        self.controller.save(&mut own);
-        let words = logged.snapshot.state().iter().zip(own.state()).enumerate();
-        let mut words = words.filter(|(_, (logged, computed))| logged != computed);
-        if let Some((place, (logged, computed))) = words.next() {
-            let name = |word: u64| format!("{} as its word {place}", hex(word));
-            return Some(found("state", name(*logged), name(*computed)));
-        }
-        let same_chunk = |(index, chunk): (usize, &Chunk)| {
-            let held = own.held().get(index);
-            let own = held.and_then(|held| self.controller.held(held));
-            own.is_some_and(|own| hash(own) == hash(chunk))
-        };
-        let same = logged.snapshot == own && logged.chunks.iter().enumerate().all(same_chunk);
-        let other = || found("state", "other chunks".to_owned(), "its own".to_owned());
-        (!same).then(other)
+        })
     }
 }
 
-/// A hash over what counts of a chunk.
-fn hash(chunk: &Chunk) -> u64 {
-    let mut hash = InputHash::new();
-    hash.chunk(0, chunk);
-    hash.value()
+/// The state with which a file ends that another follows.
+pub(super) struct Edge {
+    /// The file's name.
+    file: String,
+    state: LoggedSnapshot,
+}
+
+impl Edge {
+    /// Of the file before the one at `path`, whose header is `header`, if that file lies beside it, can be read, and ends where this one begins.
+    pub(super) fn before(path: &Path, header: &RunHeader) -> Option<Self> {
+        if header.left_out == 0 {
+            return None;
+        }
+        let before = earlier(path);
+        let (run, end) = read_steps::<LogError>(&before, |_, _| Ok(())).ok()?;
+        let of_run = RunHeader {
+            left_out: header.left_out,
+            ..run
+        };
+        let state = end.snapshot.filter(|_| of_run == *header)?;
+        (state.record == header.left_out).then(|| Self {
+            file: before
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned(),
+            state,
+        })
+    }
+
+    /// Compares it with the state before the log's first tick, `first`.
+    pub(super) fn other(&self, first: &Step<'_>) -> Option<Difference> {
+        let (what, [logged, before]) = first.snapshot?.difference(&self.state)?;
+        Some(Difference {
+            tick: first.tick.tick,
+            what: format!("snapshot.{what}"),
+            logged,
+            computed: format!("{before} where {} ends", self.file),
+        })
+    }
 }

@@ -21,6 +21,7 @@ use trocar_control::{
 };
 
 pub use arm::RecordedArm;
+use kept::Edge;
 pub use kept::KeptFrom;
 
 /// What a replay found.
@@ -33,6 +34,8 @@ pub struct ReplayResult {
     pub ticks: u64,
     /// Where it begins, if the log's bound left out what came before: with the controller's state in the log.
     pub kept_from: Option<KeptFrom>,
+    /// Whether that state was compared with the one at the end of the file before, which lies beside it and is of the same run.
+    pub edge_checked: bool,
     /// Whether the log's own hash over the inputs could be compared; a cut log has none, so that an input that no command
     /// shows may have changed.
     pub inputs_checked: bool,
@@ -76,9 +79,9 @@ pub struct Difference {
     /// The tick.
     pub tick: u64,
     /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; `safety.mode` where a report does; `inputs` where only their hash shows
-    /// it; `state` where that of the controller does, at the end of a file; `contents` where something else in the log is not what the run wrote; `arms` where
-    /// their number does; or `log` where the logger lost an input. Where there are two arms, the arm's name comes first:
-    /// `psm2.position.yaw`.
+    /// it; `state` where that of the controller does, at the end of a file, or `snapshot.state` where the next file does not begin with it; `contents`
+    /// where something else in the log is not what the run wrote; `arms` where their number does; or `log` where the logger lost an input. Where there
+    /// are two arms, the arm's name comes first: `psm2.position.yaw`.
     pub what: String,
     /// In the log.
     pub logged: String,
@@ -156,7 +159,8 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
     replay.finish(&log.end())
 }
 
-/// Replays the log at `path` as [`replay`] does, without ever holding more than a tick of it.
+/// Replays the log at `path` as [`replay`] does, without ever holding more than a tick of it. The state that it begins with is compared with the end of
+/// the file before, if that one lies beside it.
 ///
 /// # Errors
 /// [`LogError`] when it is no log or was damaged, [`ReplayError`] as [`replay`].
@@ -165,7 +169,10 @@ pub fn replay_file<E: From<LogError> + From<ReplayError>>(path: &Path) -> Result
     let (header, end) = read_steps(path, |header, step| -> Result<(), E> {
         let replay = match &mut replay {
             Some(replay) => replay,
-            None => replay.insert(Replay::new(header)?),
+            None => replay.insert(Replay {
+                edge: Edge::before(path, header),
+                ..Replay::new(header)?
+            }),
         };
         Ok(replay.step(step)?)
     })?;
@@ -183,6 +190,8 @@ struct Replay {
     /// Ticks that the log's bound left out.
     left_out: u64,
     kept_from: Option<KeptFrom>,
+    /// The end of the file before, if it is known.
+    edge: Option<Edge>,
     /// The newest tick, if there was any.
     last: Option<u64>,
     found: Option<Difference>,
@@ -197,6 +206,7 @@ impl Replay {
             ticks: 0,
             left_out: header.left_out,
             kept_from: None,
+            edge: None,
             last: None,
             found: None,
         })
@@ -211,7 +221,7 @@ impl Replay {
         let goes_on = match self.last.replace(tick) {
             None if self.left_out > 0 => {
                 self.kept_from = Some(self.run.go_on(self.left_out, step)?);
-                None
+                self.edge.as_ref().and_then(|edge| edge.other(step))
             }
             None | Some(_) => step
                 .snapshot
@@ -241,6 +251,7 @@ impl Replay {
             identical: first_difference.is_none(),
             ticks: self.ticks,
             kept_from: self.kept_from,
+            edge_checked: self.kept_from.is_some() && self.edge.is_some(),
             inputs_checked: went_through && (end.input_hash.is_some() || end.snapshot.is_some()),
             first_difference,
             second_opinion: self.run.second_opinion,

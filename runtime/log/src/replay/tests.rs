@@ -30,6 +30,7 @@ fn a_replay_recomputes_every_command() {
             first_difference: None,
             second_opinion,
             kept_from: None,
+            edge_checked: false,
             cut: None,
             bounded: false,
         }

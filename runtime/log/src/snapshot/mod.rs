@@ -98,6 +98,52 @@ impl LoggedSnapshot {
         controller.restore(&self.snapshot, &self.chunks)
     }
 
+    /// The state of `controller` before the tick of `record`.
+    pub(super) fn of(
+        controller: &AnyController,
+        record: u64,
+        (inputs, commands): (InputHash, CommandHash),
+    ) -> Self {
+        let mut snapshot = Snapshot::new();
+        controller.save(&mut snapshot);
+        let held = snapshot.held().iter();
+        let chunks = held.filter_map(|held| controller.held(held).copied());
+        Self {
+            record,
+            inputs,
+            commands,
+            chunks: chunks.collect(),
+            snapshot,
+        }
+    }
+
+    /// The first thing that this state and the `other` have otherwise, as each has it; nothing if they are the same to the bit.
+    pub(super) fn difference(&self, other: &Self) -> Option<(&'static str, [String; 2])> {
+        let hashes = [
+            ("inputs", self.inputs.value(), other.inputs.value()),
+            (
+                "command_hash",
+                self.commands.value(),
+                other.commands.value(),
+            ),
+        ];
+        for (what, own, its) in hashes {
+            if own != its {
+                return Some((what, [own, its].map(hexadecimal)));
+            }
+        }
+        let (own, its) = (&self.snapshot, &other.snapshot);
+        let mut words = own.state().iter().zip(its.state()).enumerate();
+        if let Some((place, (own, its))) = words.find(|(_, (own, its))| own != its) {
+            let word = |word: u64| format!("{} as its word {place}", hexadecimal(word));
+            return Some(("state", [*own, *its].map(word)));
+        }
+        let contents = |chunks: &[Chunk]| chunks.iter().map(hash).collect::<Vec<_>>();
+        let same = own == its && contents(&self.chunks) == contents(&other.chunks);
+        let differ = ["other chunks", "its own"].map(str::to_owned);
+        (!same).then_some(("state", differ))
+    }
+
     /// Reads a message of `/snapshot`. An error names what is wrong with it.
     pub(super) fn read(message: &[u8]) -> Result<Self, String> {
         let SnapshotMessage {
@@ -129,6 +175,13 @@ impl LoggedSnapshot {
             chunks,
         })
     }
+}
+
+/// A hash over what counts of a chunk.
+fn hash(chunk: &Chunk) -> u64 {
+    let mut hash = InputHash::new();
+    hash.chunk(0, chunk);
+    hash.value()
 }
 
 /// The digits of a word.

@@ -68,7 +68,7 @@ pub(super) fn rehash(items: &mut [Item]) {
 }
 
 /// A file that holds `items`.
-fn written(items: &[Item]) -> Vec<u8> {
+pub(super) fn written(items: &[Item]) -> Vec<u8> {
     let mut writer = mcap::Writer::new(std::io::Cursor::new(Vec::new())).unwrap();
     for item in items {
         match item {

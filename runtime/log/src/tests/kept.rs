@@ -5,7 +5,7 @@ use std::path::Path;
 use hal::config::Source;
 use hal::{ArmError, ArmState, PerArm, TimeNs};
 
-use super::falsified::{Item, items, read, rehash};
+use super::falsified::{Item, items, read, rehash, written};
 use super::two_arms::{SCENE, chunk_of_arm, start};
 use super::{
     LogError, Pressure, Recorder, RunHeader, RunLog, Scratch, TickRecord, TickTiming, Writing,
@@ -139,20 +139,30 @@ impl From<ReplayError> for Either {
     }
 }
 
+/// What a replay says of the file at `path`, and of what lies beside it.
+fn of_file(path: &Path) -> ReplayResult {
+    let replayed: Result<_, Either> = replay_file(path);
+    replayed.unwrap_or_else(|Either(told)| panic!("{told}"))
+}
+
 /// That a file is identical from its first tick on.
 fn identical(path: &Path) -> (RunLog, ReplayResult) {
     let log = RunLog::open(path).unwrap();
     let replayed = replay(&log).unwrap();
     assert!(replayed.identical, "{:?}", replayed.first_difference);
-    let streamed: Result<ReplayResult, Either> = replay_file(path);
-    assert_eq!(streamed.map_err(|Either(told)| told), Ok(replayed.clone()));
+    let streamed = of_file(path);
+    let alone = ReplayResult {
+        edge_checked: false,
+        ..streamed.clone()
+    };
+    assert_eq!(alone, replayed, "the file before has no part in it");
     let (first, _) = log.ticks().next().unwrap();
     let kept_from = replayed.kept_from.unwrap();
     assert_eq!(kept_from.left_out, log.header.left_out);
     assert_eq!(kept_from.left_out, first.tick, "no tick was dropped");
     assert!((kept_from.at_s - first.now.seconds()).abs() < 1e-12);
     assert_eq!(replayed.ticks, log.tick_count() as u64);
-    (log, replayed)
+    (log, streamed)
 }
 
 #[test]
@@ -167,6 +177,7 @@ fn what_a_bound_kept_replays_from_its_beginning() {
         for file in [&files.before, &files.last] {
             let (log, replayed) = identical(&file.0);
             assert!(replayed.bounded && replayed.inputs_checked && log.header.left_out > 0);
+            assert_eq!(replayed.edge_checked, next.is_some(), "of the second alone");
             let ticks: Vec<u64> = log.ticks().map(|(tick, _)| tick.tick).collect();
             assert!(ticks.len() >= 250 && next.is_none_or(|next| next == ticks[0]));
             next = ticks.last().map(|last| last + 1);
@@ -213,6 +224,15 @@ fn change(item: &mut Item, how: impl Fn(&mut serde_json::Value)) {
     *data = serde_json::to_vec(&message).unwrap();
 }
 
+/// Words of the controller's state in a message.
+fn state_words(item: &Item) -> usize {
+    let Item::Message(_, _, data) = item else {
+        panic!("it is a message");
+    };
+    let message: serde_json::Value = serde_json::from_slice(data).unwrap();
+    message["state"].as_str().unwrap().len() / 16
+}
+
 /// Flips a bit of a word of the controller's state.
 fn flip(item: &mut Item, word: usize, bit: u32) {
     change(item, |message| {
@@ -247,13 +267,7 @@ fn a_falsified_state_is_found() {
     assert!(first < last);
     assert!(said(&part, |_| ()).unwrap().identical);
     // The state at the end is compared word by word.
-    let words = {
-        let Item::Message(_, _, data) = &part[last] else {
-            panic!("it is a message");
-        };
-        let message: serde_json::Value = serde_json::from_slice(data).unwrap();
-        message["state"].as_str().unwrap().len() / 16
-    };
+    let words = state_words(&part[last]);
     for word in (0..words).step_by(words / 12) {
         assert_eq!(
             found(&part, |items| flip(&mut items[last], word, 0)),
@@ -289,6 +303,74 @@ fn a_falsified_state_is_found() {
     assert!(layout, "{refused}");
     let refused = said(&part, |items| drop(items.remove(first))).unwrap_err();
     assert!(matches!(refused, ReplayError::LeftOut { .. }), "{refused}");
+}
+
+/// What no command shows of the state that a file begins with, its last tick does not show either.
+#[test]
+fn a_falsified_beginning_is_found_by_the_file_before() {
+    let files = one_arm("kept-edge", true);
+    let part = items(&files.last);
+    let (first, _) = snapshots(&part);
+    let falsified = |word: usize| {
+        let mut items = part.clone();
+        flip(&mut items[first], word, 0);
+        rehash(&mut items);
+        items
+    };
+    let is_hidden = |word: &usize| {
+        let log = read(&falsified(*word)).unwrap();
+        replay(&log).is_ok_and(|replayed| replayed.identical)
+    };
+    let hidden = (0..state_words(&part[first])).rev().find(is_hidden);
+    std::fs::write(&files.last.0, written(&falsified(hidden.unwrap()))).unwrap();
+    let replayed = of_file(&files.last.0);
+    assert!(replayed.edge_checked && !replayed.identical);
+    let difference = replayed.first_difference.unwrap();
+    assert_eq!(
+        (difference.what.as_str(), replayed.ticks),
+        ("snapshot.state", 0)
+    );
+    let name = files.before.0.file_name().unwrap().to_str().unwrap();
+    let ends = format!(" where {name} ends");
+    assert!(difference.computed.ends_with(&ends), "{difference}");
+    for (key, what) in [
+        ("input_hash", "snapshot.inputs"),
+        ("command_hash", "snapshot.command_hash"),
+    ] {
+        let mut items = part.clone();
+        change(&mut items[first], |it| it[key] = "00".repeat(8).into());
+        rehash(&mut items);
+        std::fs::write(&files.last.0, written(&items)).unwrap();
+        assert_eq!(of_file(&files.last.0).first_difference.unwrap().what, what);
+    }
+}
+
+/// What lies beside a file is the one before it only if it is of the same run, and ends where the file begins.
+#[test]
+fn a_file_of_another_run_is_not_the_one_before() {
+    let files = one_arm("kept-beside", true);
+    let before = items(&files.before);
+    assert!(of_file(&files.last.0).edge_checked);
+    let (_, end) = snapshots(&before);
+    let without_end = |items: &mut Vec<Item>| drop(items.remove(end));
+    let of_other_seed = |items: &mut Vec<Item>| {
+        for item in items {
+            if let Item::Metadata(name, map) = item
+                && name == "run"
+            {
+                map.insert("seed".to_owned(), "7".to_owned());
+            }
+        }
+    };
+    let changes: [&dyn Fn(&mut Vec<Item>); 2] = [&without_end, &of_other_seed];
+    for change in changes {
+        let mut items = before.clone();
+        change(&mut items);
+        rehash(&mut items);
+        std::fs::write(&files.before.0, written(&items)).unwrap();
+        let replayed = of_file(&files.last.0);
+        assert!(replayed.identical && !replayed.edge_checked);
+    }
 }
 
 #[test]

@@ -108,9 +108,16 @@ fn replay_log(args: &LogArgs) -> Done {
 fn identical(result: &ReplayResult) -> String {
     let ticks = result.ticks;
     match (result.kept_from, result.bounded) {
-        (Some(KeptFrom { left_out, at_s }), _) => format!(
-            "identical: {ticks} ticks from {at_s:.3} s on; the beginning ({left_out} ticks) was not kept"
-        ),
+        (Some(KeptFrom { left_out, at_s }), _) => {
+            let edge = if result.edge_checked {
+                "; it begins where the file before ends"
+            } else {
+                ""
+            };
+            format!(
+                "identical: {ticks} ticks from {at_s:.3} s on; the beginning ({left_out} ticks) was not kept{edge}"
+            )
+        }
         (None, true) => format!("identical: {ticks} ticks; the run goes on in another file"),
         (None, false) => format!("identical: {ticks} ticks"),
     }
