@@ -209,6 +209,9 @@ impl Aggregator {
 /// What [`Aggregator::save`] adds, by name.
 pub(super) const LAYOUT: u64 = layout("Aggregator next count arm slot", &[]);
 
+/// Words that it adds, apart from chunks.
+pub(super) const WORDS: usize = 2;
+
 /// A chunk that covers no instant.
 fn blank() -> Chunk {
     Chunk::new(TimeNs(0), 0, hal::TICK_NS, &[])

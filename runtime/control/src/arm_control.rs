@@ -99,6 +99,9 @@ impl ArmControl {
     /// Names, types and order of what [`Self::save_all`] adds.
     pub(super) const LAYOUT_OF_ALL: [u64; 2] = [<Self as Stateful>::LAYOUT, aggregate::LAYOUT];
 
+    /// How many words that takes at most.
+    pub(super) const WORDS_OF_ALL: usize = <Self as Stateful>::WORDS_MAX + aggregate::WORDS;
+
     /// Adds all of its state after the tick `newest` to a snapshot, as that of the arm `index`.
     pub(super) fn save_all(&self, index: usize, newest: TimeNs, to: &mut Snapshot) {
         self.save(to);

@@ -14,7 +14,7 @@ use super::report::{QpOutcome, TickInput, TickOutput, TickReport};
 use super::rows::{ARMS_MAX, RowInput, Rows, Velocities};
 use super::smoother::Smoother;
 use super::snapshot::{
-    HeldChunk, Reader, Snapshot, SnapshotError, Stateful, Words, layout, possible,
+    HeldChunk, Reader, STATE_WORDS_MAX, Snapshot, SnapshotError, Stateful, Words, layout, possible,
 };
 use super::stop::Remainder;
 use crate::kinematics::forward;
@@ -142,6 +142,7 @@ impl<const ARMS: usize> Controller<ARMS> {
 
     /// Puts the complete state after the newest tick into `to`. Hot path: bounded, no allocation.
     pub fn save(&self, to: &mut Snapshot) {
+        const { assert!(<Self as Stateful>::WORDS_MAX <= STATE_WORDS_MAX) };
         to.begin(<Self as Stateful>::LAYOUT);
         Stateful::save(self, to);
     }
@@ -341,6 +342,9 @@ impl<const ARMS: usize> Stateful for Controller<ARMS> {
             <Guard<ARMS> as Stateful>::LAYOUT,
         ],
     );
+    const WORDS_MAX: usize = <Option<TimeNs> as Words>::WORDS_MAX
+        + ARMS * (ArmControl::WORDS_OF_ALL + <Smoother as Stateful>::WORDS_MAX)
+        + <Guard<ARMS> as Stateful>::WORDS_MAX;
 
     fn save(&self, to: &mut Snapshot) {
         let Self {

@@ -120,6 +120,8 @@ impl<const ARMS: usize> Stateful for Guard<ARMS> {
             <Pair as Stateful>::LAYOUT,
         ],
     );
+    const WORDS_MAX: usize =
+        1 + ARMS * <ArmGuard as Stateful>::WORDS_MAX + <Pair as Stateful>::WORDS_MAX;
 
     fn save(&self, to: &mut Snapshot) {
         let Self {

@@ -45,6 +45,7 @@ impl fmt::Display for OperatingState {
 
 impl Words for OperatingState {
     const LAYOUT: u64 = layout("OperatingState Disabled Enabled Paused Fault", &[]);
+    const WORDS_MAX: usize = 1;
 
     fn put(&self, to: &mut Snapshot) {
         to.push(match self {

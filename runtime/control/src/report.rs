@@ -96,6 +96,8 @@ impl Words for Fault {
         "Fault MeasurementNotFinite MeasurementOutOfRange axis value Arm TrackingError tip_m turn_rad",
         &[<ArmError as Words>::LAYOUT],
     );
+    /// Of an arm's own error.
+    const WORDS_MAX: usize = 1 + <ArmError as Words>::WORDS_MAX;
 
     fn put(&self, to: &mut Snapshot) {
         match self {

@@ -128,6 +128,7 @@ impl Smoother {
 // Ruckig computes each trajectory anew, from an input that `load` fills.
 impl Stateful for Smoother {
     const LAYOUT: u64 = layout("Smoother axes", &[<AxisLowering as Stateful>::LAYOUT]);
+    const WORDS_MAX: usize = AXES * <AxisLowering as Stateful>::WORDS_MAX;
 
     fn save(&self, to: &mut Snapshot) {
         let Self {

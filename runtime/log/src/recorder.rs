@@ -27,7 +27,7 @@ use super::level::Level;
 use super::record::TickRecord;
 use super::ring::pre_faulted_queue;
 use super::scene::SceneRecord;
-use super::snapshot::{SeenChunks, SnapshotFeed, snapshot_queue};
+use super::snapshot::{QUEUED_TICKS, SeenChunks, SnapshotFeed, snapshot_queue};
 use super::sync::Syncing;
 use super::writer::LogWriter;
 use hal::ARMS_MAX;
@@ -76,6 +76,7 @@ const SCENES: usize = 100;
 
 /// Both ends of what a log with that bound has besides.
 fn bounded(bound: Bound) -> (SnapshotFeed, Bounded) {
+    const { assert!(TICKS as u64 <= QUEUED_TICKS) };
     let (feed, snapshots) = snapshot_queue();
     let bounded = Bounded {
         bound,

@@ -100,6 +100,7 @@ pub(super) struct NearestOfArm([Nearest; BOUNDARIES]);
 
 impl Words for NearestOfArm {
     const LAYOUT: u64 = <[Nearest; BOUNDARIES] as Words>::LAYOUT;
+    const WORDS_MAX: usize = <[Nearest; BOUNDARIES] as Words>::WORDS_MAX;
 
     fn put(&self, to: &mut Snapshot) {
         let Self(all) = self;

@@ -103,6 +103,9 @@ impl Words for Sweep {
             <[Way; LINKS] as Words>::LAYOUT,
         ],
     );
+    const WORDS_MAX: usize = 2
+        + LINKS
+        + SAMPLES * (<Instrument as Words>::WORDS_MAX + <[Way; LINKS] as Words>::WORDS_MAX);
 
     fn put(&self, to: &mut Snapshot) {
         let Self {

@@ -27,6 +27,7 @@ pub(super) struct AxisLowering {
 
 impl Stateful for AxisLowering {
     const LAYOUT: u64 = layout("AxisLowering velocity acceleration jerk settling", &[]);
+    const WORDS_MAX: usize = 4;
 
     fn save(&self, to: &mut Snapshot) {
         let Self {

@@ -10,6 +10,9 @@ pub(crate) trait Words: Sized {
     /// Names, types and order of its parts.
     const LAYOUT: u64;
 
+    /// How many words it takes at most.
+    const WORDS_MAX: usize;
+
     /// Adds it to a snapshot.
     fn put(&self, to: &mut Snapshot);
 
@@ -22,6 +25,9 @@ pub(crate) trait Stateful {
     /// Names, types and order of what is state.
     const LAYOUT: u64;
 
+    /// How many words its state takes at most.
+    const WORDS_MAX: usize;
+
     /// Adds its state to a snapshot.
     fn save(&self, to: &mut Snapshot);
 
@@ -31,6 +37,7 @@ pub(crate) trait Stateful {
 
 impl<T: Words> Stateful for T {
     const LAYOUT: u64 = <T as Words>::LAYOUT;
+    const WORDS_MAX: usize = <T as Words>::WORDS_MAX;
 
     fn save(&self, to: &mut Snapshot) {
         self.put(to);
@@ -114,6 +121,7 @@ macro_rules! words {
                 concat!(stringify!($name), $(" ", stringify!($field)),+),
                 &[$(<$kind as $crate::snapshot::Words>::LAYOUT),+],
             );
+            const WORDS_MAX: usize = 0 $(+ <$kind as $crate::snapshot::Words>::WORDS_MAX)+;
 
             fn put(&self, to: &mut $crate::snapshot::Snapshot) {
                 let Self { $($field),+ } = self;
@@ -140,6 +148,7 @@ macro_rules! state {
                 concat!(stringify!($name), $(" ", stringify!($field)),+),
                 &[$(<$kind as $crate::snapshot::Stateful>::LAYOUT),+],
             );
+            const WORDS_MAX: usize = 0 $(+ <$kind as $crate::snapshot::Stateful>::WORDS_MAX)+;
 
             fn save(&self, to: &mut $crate::snapshot::Snapshot) {
                 let Self { $($field,)+ $($(#[$attribute])* $beside: _,)+ } = self;
@@ -162,6 +171,7 @@ pub(crate) use {state, words};
 
 impl Words for u64 {
     const LAYOUT: u64 = layout("u64", &[]);
+    const WORDS_MAX: usize = 1;
 
     fn put(&self, to: &mut Snapshot) {
         to.push(*self);
@@ -174,6 +184,7 @@ impl Words for u64 {
 
 impl Words for f64 {
     const LAYOUT: u64 = layout("f64", &[]);
+    const WORDS_MAX: usize = 1;
 
     fn put(&self, to: &mut Snapshot) {
         to.push(self.to_bits());
@@ -189,6 +200,7 @@ macro_rules! whole_numbers {
     ($($kind:ty),+) => {$(
         impl Words for $kind {
             const LAYOUT: u64 = layout(stringify!($kind), &[]);
+            const WORDS_MAX: usize = 1;
 
             fn put(&self, to: &mut Snapshot) {
                 to.push(*self as u64);
@@ -205,6 +217,7 @@ whole_numbers!(u8, u16, usize);
 
 impl Words for bool {
     const LAYOUT: u64 = layout("bool", &[]);
+    const WORDS_MAX: usize = 1;
 
     fn put(&self, to: &mut Snapshot) {
         to.push(u64::from(*self));
@@ -221,6 +234,7 @@ impl Words for bool {
 
 impl Words for TimeNs {
     const LAYOUT: u64 = layout("TimeNs", &[]);
+    const WORDS_MAX: usize = 1;
 
     fn put(&self, to: &mut Snapshot) {
         let Self(ns) = self;
@@ -234,6 +248,7 @@ impl Words for TimeNs {
 
 impl<T: Words> Words for Option<T> {
     const LAYOUT: u64 = layout("Option", &[T::LAYOUT]);
+    const WORDS_MAX: usize = 1 + T::WORDS_MAX;
 
     fn put(&self, to: &mut Snapshot) {
         self.is_some().put(to);
@@ -249,6 +264,7 @@ impl<T: Words> Words for Option<T> {
 
 impl<A: Words, B: Words> Words for (A, B) {
     const LAYOUT: u64 = layout("pair", &[A::LAYOUT, B::LAYOUT]);
+    const WORDS_MAX: usize = A::WORDS_MAX + B::WORDS_MAX;
 
     fn put(&self, to: &mut Snapshot) {
         let (first, second) = self;
@@ -263,6 +279,7 @@ impl<A: Words, B: Words> Words for (A, B) {
 
 impl<T: Words, const N: usize> Words for [T; N] {
     const LAYOUT: u64 = layout("array", &[T::LAYOUT, N as u64]);
+    const WORDS_MAX: usize = N * T::WORDS_MAX;
 
     fn put(&self, to: &mut Snapshot) {
         for value in self {
@@ -278,6 +295,7 @@ impl<T: Words, const N: usize> Words for [T; N] {
 
 impl Words for Vector3<f64> {
     const LAYOUT: u64 = layout("Vector3", &[]);
+    const WORDS_MAX: usize = 3;
 
     fn put(&self, to: &mut Snapshot) {
         for number in self.iter() {
@@ -295,6 +313,8 @@ impl Words for ArmError {
         "ArmError MeasurementLost age_ns DriveFault axis code EndOfRecording",
         &[],
     );
+    /// Of a drive's fault.
+    const WORDS_MAX: usize = 3;
 
     fn put(&self, to: &mut Snapshot) {
         match self {

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::json::{ChunkMessage, TARGET_BYTES_MAX};
 use trocar_control::{AnyController, CommandHash, HeldChunk, InputHash, Snapshot, SnapshotError};
 
-pub(super) use queue::{SnapshotFeed, SnapshotItem, SnapshotQueue, snapshot_queue};
+pub(super) use queue::{QUEUED_TICKS, SnapshotFeed, SnapshotItem, SnapshotQueue, snapshot_queue};
 pub(super) use seen::SeenChunks;
 
 /// Hexadecimal digits of a word.

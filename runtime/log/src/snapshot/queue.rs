@@ -4,17 +4,24 @@ use hal::{TimeNs, count};
 use rtrb::{Consumer, Producer};
 
 use super::super::ring::pre_faulted_queue;
+use trocar_control::snapshot::{HELD_MAX, STATE_WORDS_MAX};
 use trocar_control::{AnyController, CommandHash, HeldChunk, InputHash, Snapshot};
 
 /// Ticks from one snapshot to the next: as many as a flush brings to the file.
 const EVERY_TICKS: u64 = 250;
 
-/// Words that the queue holds: more than the snapshots of all the ticks that theirs holds.
+/// Words that the queue holds.
 const WORDS: usize = 1 << 16;
 
 /// Words before a snapshot's chunks, and words of a chunk.
 const HEAD: usize = 6;
 const HELD: usize = 4;
+
+/// Words of a snapshot at most.
+const SNAPSHOT_WORDS_MAX: usize = HEAD + HELD * HELD_MAX + STATE_WORDS_MAX;
+
+/// Ticks of which the queue holds all snapshots, wherever they begin.
+pub(crate) const QUEUED_TICKS: u64 = (WORDS / SNAPSHOT_WORDS_MAX - 1) as u64 * EVERY_TICKS;
 
 /// A queue for snapshots, whose memory the system has mapped already.
 pub(crate) fn snapshot_queue() -> (SnapshotFeed, SnapshotQueue) {
