@@ -47,11 +47,16 @@ impl ConfigFile {
 }
 
 /// Keys that files may leave out, and what stands for them until they are set.
-const OPTIONAL: [(ConfigFile, &[&str], &str); 6] = [
+const OPTIONAL: [(ConfigFile, &[&str], &str); 7] = [
     (
         ConfigFile::Scene,
         &["scene.patient", "scene.organ"],
         "[scene]\npatient = \"\"\norgan = \"\"\n",
+    ),
+    (
+        ConfigFile::Scene,
+        &["scene.needle"],
+        "[scene]\nneedle = \"\"\n",
     ),
     (
         ConfigFile::Control,
@@ -203,6 +208,15 @@ mod tests {
         let organ = set(scene, &["scene.scene.organ=spleen"]).unwrap();
         assert_eq!(organ, scene.replace("liver", "spleen"));
         assert!(set("a = 1", &["scene.scene.body=x"]).is_err());
+        // So can the needle that lies on it, before or after them.
+        let needle = "needle = \"N3\"\n";
+        let with_needle = scene.replace("[scene]\n", &format!("[scene]\n{needle}"));
+        let changed = set(scene, &["scene.scene.needle=N3"]).unwrap();
+        assert_eq!(changed, with_needle);
+        let all = ["scene.scene.needle=N3", both[0], both[1]];
+        let keys = scene.replace("[scene]\n", "");
+        let first = set("a = 1", &all).unwrap();
+        assert_eq!(first, format!("a = 1\n[scene]\n{keys}{needle}"));
     }
 
     /// So can what a file has a table for, but no key; where it has one, that is changed.

@@ -7,10 +7,9 @@ use hal::{JOINT_COUNT, JointVector, Pose, psm};
 use nalgebra::{Translation3, UnitQuaternion};
 use serde::Deserialize;
 use trocar_render::Shading;
-use trocar_world::{ArmStart, WorldConfig};
+use trocar_world::{ArmStart, Scenery, WorldConfig};
 
-use super::laying::always_slides;
-use super::{CameraConfig, Kind, TaskConfig, TaskScene, View};
+use super::{CameraConfig, Kind, TaskConfig, TaskScene, View, laying};
 
 /// `[task]`.
 #[derive(Clone, Deserialize)]
@@ -74,18 +73,21 @@ pub(super) struct CommonFile {
     pub(super) episode: EpisodeFile,
 }
 
+/// What they say, checked.
+pub(super) struct Common {
+    arms: Vec<ArmStart>,
+    world: WorldConfig,
+    cameras: Vec<CameraConfig>,
+    shading: Shading,
+    time_limit_s: f64,
+}
+
 impl CommonFile {
-    /// Checks everything and makes a task of it.
-    pub(super) fn into_task(
-        self,
-        source: &Source,
-        name: &str,
-        kind: &Kind,
-        scene: Box<dyn TaskScene>,
-    ) -> Result<TaskConfig, ConfigError> {
-        if self.arm.len() != kind.arms {
+    /// Checks everything; scenes of the kind have so many `arms`.
+    pub(super) fn check(self, source: &Source, arms: usize) -> Result<Common, ConfigError> {
+        if self.arm.len() != arms {
             let found = format!("{} arms", self.arm.len());
-            return Err(source.out_of_range("arm", &found, &kind.arms.to_string()));
+            return Err(source.out_of_range("arm", &found, &arms.to_string()));
         }
         for (index, arm) in self.arm.iter().enumerate() {
             arm.check(source, index)?;
@@ -98,26 +100,51 @@ impl CommonFile {
             1.0,
             86_400.0,
         )?;
-        let task = TaskConfig {
-            name: name.to_owned(),
-            kind: kind.name,
+        Ok(Common {
             arms: self.arm.iter().map(ArmFile::start).collect(),
             world: self.world,
             shading: self.rendering.shading(source)?,
             cameras: self.camera,
+            time_limit_s: self.episode.time_limit_s,
+        })
+    }
+}
+
+impl Common {
+    /// Checks that the needle of `scenery` comes to rest on the patient's `organ`.
+    pub(super) fn check_rests(
+        &self,
+        source: &Source,
+        organ: &str,
+        scenery: impl Fn(u64) -> Scenery,
+    ) -> Result<(), ConfigError> {
+        if laying::rests(&self.world, &self.arms, scenery) {
+            return Ok(());
+        }
+        let reason = "its needle slides off; a smaller one may lie";
+        Err(source.refused("scene.organ", organ, reason))
+    }
+
+    /// The task of the given `name` and `kind`.
+    pub(super) fn into_task(
+        self,
+        name: &str,
+        kind: &Kind,
+        scene: Box<dyn TaskScene>,
+    ) -> TaskConfig {
+        TaskConfig {
+            name: name.to_owned(),
+            kind: kind.name,
+            arms: self.arms,
+            world: self.world,
+            shading: self.shading,
+            cameras: self.cameras,
             view: View::Train,
             varied: Vec::new(),
-            time_limit_s: self.episode.time_limit_s,
+            needles_drawn: Vec::new(),
+            time_limit_s: self.time_limit_s,
             scene,
-        };
-        if let Some(patient) = task.scene.patient()
-            && always_slides(&task)
-        {
-            let reason =
-                "its needle slides off the patch under the instruments; a smaller one may lie";
-            return Err(source.refused("scene.organ", &patient.lie.organ, reason));
         }
-        Ok(task)
     }
 }
 

@@ -1,7 +1,7 @@
 //! How things lie when an episode begins: at rest, or else laid elsewhere.
 
-use trocar_world::World;
 use trocar_world::rng::Rng;
+use trocar_world::{ArmStart, Scenery, World, WorldConfig};
 
 use super::{TaskConfig, TaskScene};
 
@@ -19,31 +19,47 @@ const EPISODES: u64 = 3;
 
 /// The world of the episode `seed` after things have come to rest: what slides over a patient's organ is laid elsewhere.
 pub(crate) fn settled(task: &TaskConfig, scene: &dyn TaskScene, seed: u64) -> World {
-    let laid = |place: u64| {
-        let mut world = World::new(&task.world, &scene.scenery(place), &task.arms);
-        for _ in 0..SETTLE_STEPS {
-            world.step();
-        }
-        world
-    };
-    let mut world = laid(seed);
+    let scenery = |place| scene.scenery(place);
     if scene.patient().is_some() {
-        let mut places = Rng::stream(seed, "another place");
-        for _ in 1..LAID_MAX {
-            if !slides(&world) {
-                break;
-            }
-            world = laid(places.next_u64());
+        laid(&task.world, &task.arms, &scenery, seed)
+    } else {
+        after_settling(&task.world, &task.arms, &scenery(seed))
+    }
+}
+
+/// Whether the things of `scenery` come to rest on a patient's organ in one of the first episodes at least.
+pub(super) fn rests(
+    config: &WorldConfig,
+    arms: &[ArmStart],
+    scenery: impl Fn(u64) -> Scenery,
+) -> bool {
+    (0..EPISODES).any(|seed| !slides(&laid(config, arms, &scenery, seed)))
+}
+
+/// The world in which things are at rest on a patient's organ, at the first of some places where they are.
+fn laid(
+    config: &WorldConfig,
+    arms: &[ArmStart],
+    scenery: &impl Fn(u64) -> Scenery,
+    seed: u64,
+) -> World {
+    let mut world = after_settling(config, arms, &scenery(seed));
+    let mut places = Rng::stream(seed, "another place");
+    for _ in 1..LAID_MAX {
+        if !slides(&world) {
+            break;
         }
+        world = after_settling(config, arms, &scenery(places.next_u64()));
     }
     world
 }
 
-/// Whether things slide off the patient's organ wherever they are laid.
-pub(super) fn always_slides(task: &TaskConfig) -> bool {
-    let scene = &*task.scene;
-    let lies = |seed| !slides(&settled(task, scene, seed));
-    scene.patient().is_some() && !scene.scenery(0).things.is_empty() && !(0..EPISODES).any(lies)
+fn after_settling(config: &WorldConfig, arms: &[ArmStart], scenery: &Scenery) -> World {
+    let mut world = World::new(config, scenery, arms);
+    for _ in 0..SETTLE_STEPS {
+        world.step();
+    }
+    world
 }
 
 fn slides(world: &World) -> bool {

@@ -48,10 +48,10 @@ pub use view::{NoSuchView, VIEW1_SHIFT_M, VIEW1_TURN_RAD, View};
 pub(crate) use visuals::{arms_poses, arms_visuals, scene_poses, scene_visuals};
 
 use crate::script::AnyScript;
-use common::CommonFile;
+use common::Common;
 
 /// What a scene file says: what all kinds share, and the rest.
-type Parsed = (CommonFile, Box<dyn TaskScene>);
+type Parsed = (Common, Box<dyn TaskScene>);
 
 /// A kind of scene: what a scene file describes, and how that is done and judged.
 struct Kind {
@@ -97,6 +97,8 @@ pub struct TaskConfig {
     pub view: View,
     /// What is drawn anew for each episode; see [`Self::with_variations`].
     pub varied: Vec<Variation>,
+    /// The needles that [`Variation::Needles`] draws from: those of the scene that come to rest on its ground.
+    pub(crate) needles_drawn: Vec<String>,
     /// How much work goes into pictures.
     pub shading: Shading,
     /// When the episode ends without success, s.
@@ -175,16 +177,32 @@ impl Clone for Box<dyn TaskScene> {
     }
 }
 
-/// The task does not have the requested needle.
+/// The requested needle can't be had.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{task} has no needle {name:?}; {}", known_needles(known))]
-pub struct NoSuchNeedle {
-    /// The task.
-    pub task: String,
-    /// The requested needle.
-    pub name: String,
-    /// The needles that can be chosen.
-    pub known: Vec<String>,
+pub enum NeedleError {
+    /// The task does not have it.
+    #[error("{task} has no needle {name:?}; {}", known_needles(known))]
+    Unknown {
+        /// The task.
+        task: String,
+        /// The requested needle.
+        name: String,
+        /// The needles that can be chosen.
+        known: Vec<String>,
+    },
+    /// It does not come to rest on the patient's organ.
+    #[error(
+        "needle {name} slides off the patient's {organ}; {}",
+        resting_needles(resting)
+    )]
+    SlidesOff {
+        /// The requested needle.
+        name: String,
+        /// The organ.
+        organ: String,
+        /// The needles that come to rest on it.
+        resting: Vec<String>,
+    },
 }
 
 fn known_needles(known: &[String]) -> String {
@@ -192,6 +210,14 @@ fn known_needles(known: &[String]) -> String {
         "it has no choice of needles".to_owned()
     } else {
         format!("it has {}", known.join(", "))
+    }
+}
+
+fn resting_needles(resting: &[String]) -> String {
+    if resting.is_empty() {
+        "so do all others".to_owned()
+    } else {
+        format!("these come to rest there: {}", resting.join(", "))
     }
 }
 
@@ -235,19 +261,45 @@ impl TaskConfig {
         self.scene.patient().map(|patient| &patient.lie)
     }
 
-    /// The same task with another needle, by the name that the scene file gives it.
+    /// The same task with another needle, by the name that the scene file gives it. On a patient it must come to rest on the patch that was
+    /// chosen for the scene's own.
     ///
     /// # Errors
-    /// [`NoSuchNeedle`], also for a task that has no choice of needles.
-    pub fn with_needle(mut self, name: &str) -> Result<Self, NoSuchNeedle> {
-        match self.scene.choose_needle(name) {
-            Ok(()) => Ok(self),
-            Err(known) => Err(NoSuchNeedle {
+    /// [`NeedleError`], also for a task that has no choice of needles.
+    pub fn with_needle(mut self, name: &str) -> Result<Self, NeedleError> {
+        if let Err(known) = self.scene.choose_needle(name) {
+            return Err(NeedleError::Unknown {
                 task: self.name,
                 name: name.to_owned(),
                 known,
-            }),
+            });
         }
+        if self.rests(&*self.scene) {
+            return Ok(self);
+        }
+        let organ = self.patient().map(|lie| lie.organ.clone());
+        Err(NeedleError::SlidesOff {
+            name: name.to_owned(),
+            organ: organ.unwrap_or_default(),
+            resting: self.resting_needles(),
+        })
+    }
+
+    /// The names of those needles of the scene that come to rest on its ground, if there is a choice.
+    fn resting_needles(&self) -> Vec<String> {
+        let rests = |name: &String| {
+            let mut scene = self.scene.clone();
+            scene.choose_needle(name).is_ok() && self.rests(&*scene)
+        };
+        let mut needles = self.scene.needles();
+        needles.retain(rests);
+        needles
+    }
+
+    /// Whether what lies in `scene` comes to rest; made-up ground is so flat that it does.
+    fn rests(&self, scene: &dyn TaskScene) -> bool {
+        scene.patient().is_none()
+            || laying::rests(&self.world, &self.arms, |seed| scene.scenery(seed))
     }
 
     /// Reads the scene file of the task `name`, whose `task.kind` says what it describes.
@@ -261,7 +313,7 @@ impl TaskConfig {
             return Err(source.out_of_range("task.kind", &asked, &known.join(", ")));
         };
         let (common, scene) = (kind.parse)(source)?;
-        common.into_task(source, name, kind, scene)
+        Ok(common.into_task(name, kind, scene))
     }
 }
 

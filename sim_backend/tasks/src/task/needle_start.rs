@@ -10,6 +10,7 @@ use serde::Deserialize;
 use trocar_world::needle::NeedleShape;
 use trocar_world::organ::Organ;
 use trocar_world::rng::Rng;
+use trocar_world::{Ground, RigidBody, Scenery};
 
 /// The region that the needle is drawn from; the paper's is 2.5 cm by 1 cm either way, at one yaw.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -73,7 +74,17 @@ impl NeedleStart {
         flat_on(organ, needle, x, y, yaw)
     }
 
-    /// Checks that `needle` can lie somewhere in the region on an organ that a scene file did not make up.
+    /// The needle on `organ` at the start of the episode `seed`.
+    pub(super) fn scenery(&self, seed: u64, needle: &NeedleShape, organ: &Organ) -> Scenery {
+        let in_scene = self.draw(seed, needle, organ);
+        Scenery {
+            things: vec![RigidBody::needle(needle, in_scene)],
+            ground: Ground::Organ(organ.clone()),
+            flap: None,
+        }
+    }
+
+    /// Checks that `needle` can lie somewhere in the region on a measured organ.
     pub(super) fn check_on(
         &self,
         source: &Source,
@@ -82,15 +93,16 @@ impl NeedleStart {
     ) -> Result<(), ConfigError> {
         let mut rng = Rng::stream(0, "needle");
         let first = self.place(&mut rng, needle, organ);
-        let lies = matches!(organ, Organ::Rolling(_))
-            || self.sample(&mut rng, first, needle, organ).is_some();
-        let reason = "nowhere in it the organ is flat enough for the needle; a smaller one may lie";
-        let found = format!("{:?}", self.range_m);
-        if lies {
-            Ok(())
-        } else {
-            Err(source.refused("needle_start.range_m", &found, reason))
+        if self.sample(&mut rng, first, needle, organ).is_some() {
+            return Ok(());
         }
+        let [radius_mm, gap_mm] = [needle.arc_radius_m, GAP_M_MAX].map(|size_m| 1e3 * size_m);
+        let slope_deg = LEVEL_MIN.acos().to_degrees();
+        let reason = format!(
+            "nowhere in it the organ is flat enough for a needle of {radius_mm:.1} mm radius, which lies with a slope of {slope_deg:.0} degrees at most and all of its wire within {gap_mm:.0} mm of the organ; a smaller one may lie"
+        );
+        let found = format!("{:?}", self.range_m);
+        Err(source.refused("needle_start.range_m", &found, &reason))
     }
 
     /// Checks every number.

@@ -262,8 +262,13 @@ fn needles_can_be_chosen_by_name() {
     for (name, other) in [("N1", "N2"), ("N2", "N3"), ("N3", "N4"), ("N4", "N5")] {
         assert_ne!(of(name), of(other));
     }
-    let error = task.with_needle("N6").unwrap_err();
-    assert_eq!(error.known, ["N1", "N2", "N3", "N4", "N5"]);
+    let known = ["N1", "N2", "N3", "N4", "N5"].map(str::to_owned);
+    let expected = NeedleError::Unknown {
+        task: "needle-lift".to_owned(),
+        name: "N6".to_owned(),
+        known: known.to_vec(),
+    };
+    assert_eq!(task.with_needle("N6").unwrap_err(), expected);
     let pad = TaskConfig::shipped("suture-pad");
     assert!(pad.with_needle("N1").is_err());
 }

@@ -18,7 +18,7 @@ pub use lens::Lens;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Variation {
-    /// The needle is one of those of the scene file, each as likely.
+    /// The needle is one of those of the scene file that come to rest on the ground, each as likely.
     Needles,
     /// Cameras stand as in [`View::View1`].
     Views,
@@ -251,6 +251,9 @@ impl TaskConfig {
         if self.varied.contains(&Variation::Views) {
             self.view = View::View1;
         }
+        if self.varied.contains(&Variation::Needles) {
+            self.needles_drawn = self.resting_needles();
+        }
         Ok(self)
     }
 
@@ -303,7 +306,7 @@ impl TaskConfig {
         if !self.varied.contains(&Variation::Needles) {
             return None;
         }
-        let mut needles = self.scene.needles();
+        let mut needles = self.needles_drawn.clone();
         let index = Rng::stream(seed, "needle variant").below(needles.len());
         (index < needles.len()).then(|| needles.swap_remove(index))
     }

@@ -121,7 +121,8 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
         camera: file.camera,
         rendering: file.rendering,
         episode: file.episode,
-    };
+    }
+    .check(source, KIND.arms)?;
     let scene = BlockTransfer {
         block: file.block,
         start: file.block_start,

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use trocar_render::visual::{Backdrop, Visual, instance};
 use trocar_world::needle::NeedleShape;
 use trocar_world::organ::{Organ, OrganShape};
-use trocar_world::{ArmStart, Ground, RigidBody, Scenery, WorldConfig};
+use trocar_world::{ArmStart, Scenery, WorldConfig};
 
 use script::Passer;
 pub use success::SuccessConfig;
@@ -89,15 +89,19 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     }
     source.check_range("presented.yaw_rad", file.presented.yaw_rad, -3.2, 3.2)?;
     file.success.check(source)?;
-    let fits = |organ: &Organ| file.needle_start.check_on(source, &file.needle, organ);
-    let (organ, patient) = patient::ground(source, file.organ, file.scene.as_ref(), fits)?;
     let common = CommonFile {
         arm: file.arm,
         world: file.world,
         camera: file.camera,
         rendering: file.rendering,
         episode: file.episode,
-    };
+    }
+    .check(source, KIND.arms)?;
+    let start = &file.needle_start;
+    let scene = file.scene.as_ref();
+    patient::without_choice(source, scene)?;
+    let (organ, patient) =
+        patient::ground(source, &common, file.organ, scene, start, &file.needle)?;
     let scene = NeedleHandover {
         needle: file.needle,
         start: file.needle_start,
@@ -111,12 +115,7 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
 
 impl TaskScene for NeedleHandover {
     fn scenery(&self, seed: u64) -> Scenery {
-        let in_scene = self.start.draw(seed, &self.needle, &self.organ);
-        Scenery {
-            things: vec![RigidBody::needle(&self.needle, in_scene)],
-            ground: Ground::Organ(self.organ.clone()),
-            flap: None,
-        }
+        self.start.scenery(seed, &self.needle, &self.organ)
     }
 
     fn goal(&self, _seed: u64) -> Option<Pose> {

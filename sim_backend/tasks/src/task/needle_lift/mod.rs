@@ -12,7 +12,7 @@ use serde::Deserialize;
 use trocar_render::visual::{Backdrop, Visual, instance};
 use trocar_world::needle::NeedleShape;
 use trocar_world::organ::{Organ, OrganShape};
-use trocar_world::{ArmStart, Ground, RigidBody, Scenery, WorldConfig};
+use trocar_world::{ArmStart, Scenery, WorldConfig};
 
 use script::Lifter;
 pub use success::SuccessConfig;
@@ -41,7 +41,7 @@ pub(super) const KIND: Kind = Kind {
 /// The scene of a needle lift.
 #[derive(Clone, Debug)]
 pub struct NeedleLift {
-    /// The needle of this episode: one of `needles`, the trained one unless another was chosen.
+    /// The needle of this episode: one of `needles`, the trained one unless another was chosen, or `[scene]` names one.
     pub needle: NeedleShape,
     /// The name of that one.
     pub needle_name: String,
@@ -80,23 +80,31 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     for (name, needle) in &file.needle {
         needle.check(source, &format!("needle.{name}"))?;
     }
-    let Some(&trained) = file.needle.get(TRAINED) else {
+    if !file.needle.contains_key(TRAINED) {
         return Err(source.out_of_range("needle", "no such needle", TRAINED));
+    }
+    let named = file.scene.as_ref().and_then(|scene| scene.needle.clone());
+    let name = named.unwrap_or_else(|| TRAINED.to_owned());
+    let Some(&needle) = file.needle.get(&name) else {
+        let known: Vec<&str> = file.needle.keys().map(String::as_str).collect();
+        return Err(source.out_of_range("scene.needle", &name, &known.join(", ")));
     };
     file.needle_start.check(source)?;
     file.success.check(source)?;
-    let fits = |organ: &Organ| file.needle_start.check_on(source, &trained, organ);
-    let (organ, patient) = patient::ground(source, file.organ, file.scene.as_ref(), fits)?;
     let common = CommonFile {
         arm: file.arm,
         world: file.world,
         camera: file.camera,
         rendering: file.rendering,
         episode: file.episode,
-    };
+    }
+    .check(source, KIND.arms)?;
+    let start = &file.needle_start;
+    let scene = file.scene.as_ref();
+    let (organ, patient) = patient::ground(source, &common, file.organ, scene, start, &needle)?;
     let scene = NeedleLift {
-        needle: trained,
-        needle_name: TRAINED.to_owned(),
+        needle,
+        needle_name: name,
         needles: file.needle,
         start: file.needle_start,
         organ,
@@ -108,12 +116,7 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
 
 impl TaskScene for NeedleLift {
     fn scenery(&self, seed: u64) -> Scenery {
-        let in_scene = self.start.draw(seed, &self.needle, &self.organ);
-        Scenery {
-            things: vec![RigidBody::needle(&self.needle, in_scene)],
-            ground: Ground::Organ(self.organ.clone()),
-            flap: None,
-        }
+        self.start.scenery(seed, &self.needle, &self.organ)
     }
 
     fn goal(&self, _seed: u64) -> Option<Pose> {

@@ -2,9 +2,9 @@
 //! `DIR` the ground of a task.
 //!
 //! The patient is turned so that a patch on the organ's front on which the task can be done faces the instruments, the widest, then the flattest,
-//! the head away from the viewer, and raised so that the patch is where the task has its ground. The organ is rounded between its vertices, once for physics and pictures
-//! alike: what is felt is a table of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in
-//! the way.
+//! the head away from the viewer, and raised so that the patch is where the task has its ground. Patches are tried in this order until a flap lies
+//! on one, or a needle comes to rest there. The organ is rounded between its vertices, once for physics and pictures alike: what is felt is a table
+//! of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in the way.
 
 mod incision;
 mod looks;
@@ -24,8 +24,12 @@ use serde::{Deserialize, Serialize};
 use trocar_anatomy::assets::{self, Part};
 use trocar_render::shapes::placed;
 use trocar_render::visual::{Backdrop, Material, Visual, instance};
+use trocar_world::needle::NeedleShape;
 use trocar_world::organ::{Organ, OrganShape};
 use trocar_world::tissue::Ground;
+
+use super::common::Common;
+use super::needle_start::NeedleStart;
 
 pub(super) use incision::Incision;
 pub use looks::tissue_material;
@@ -49,7 +53,9 @@ pub(super) struct SceneFile {
     /// The folder of the patient, or a `.glb`, `.usda` or `.usdz` of another program; a relative path is one from where the program was started.
     patient: String,
     /// The tissue group that is the ground.
-    organ: String,
+    pub(super) organ: String,
+    /// The needle of the scene that the patch has to suit, and that lies there, in a scene with a choice; the trained one if not given.
+    pub(super) needle: Option<String>,
 }
 
 /// How a patient lies in the scene.
@@ -109,7 +115,7 @@ impl SceneFile {
     ///
     /// # Errors
     /// [`ConfigError::Refused`] if there is no patient in the folder, its file is damaged, or no patch of the organ is fit to work on;
-    /// [`ConfigError::OutOfRange`] if it has no such organ; what is wrong with the flattest patch where none fits.
+    /// [`ConfigError::OutOfRange`] if it has no such organ; what is wrong with the first patch, and which that is, where none fits.
     pub(super) fn load(
         &self,
         source: &Source,
@@ -125,7 +131,7 @@ impl SceneFile {
         };
         let patches = Patch::choose(&organ.mesh, site)
             .map_err(|reason| source.refused("scene.organ", &self.organ, &reason))?;
-        let mut misfit = None;
+        let mut misfits = Vec::new();
         for patch in patches {
             let (drawn, table) = site.lay(organ.mesh.clone(), &patch);
             let table = Arc::new(table);
@@ -137,10 +143,32 @@ impl SceneFile {
                         visuals: self.visuals(&parts, drawn, &patch.scene_from_scan),
                     });
                 }
-                Err(error) => misfit = misfit.or(Some(error)),
+                Err(error) => misfits.push((patch, error)),
             }
         }
-        Err(misfit.unwrap_or_else(|| source.refused("scene.organ", &self.organ, "no patch")))
+        let count = misfits.len();
+        let Some((patch, mut error)) = misfits.into_iter().next() else {
+            return Err(source.refused("scene.organ", &self.organ, "no patch"));
+        };
+        if let ConfigError::Refused { reason, .. } = &mut error {
+            let tried = self.tried(count, &self.lie(&patch, site));
+            reason.push_str(&tried);
+        }
+        Err(error)
+    }
+
+    /// How many patches were tried in vain, and where the `first` is.
+    fn tried(&self, count: usize, first: &PatientPlacement) -> String {
+        let [flat_mm, radius_mm] = [first.roughness_m, first.radius_m].map(|size_m| 1e3 * size_m);
+        let at = patch::in_scan(first.patch_in_scan_m);
+        let tried = match count {
+            1 => "one patch was tried".to_owned(),
+            _ => format!("{count} patches were tried"),
+        };
+        format!(
+            "; {tried} on its {}, the first {flat_mm:.1} mm from flat (root mean square) within {radius_mm:.0} mm of {at}",
+            self.organ
+        )
     }
 
     fn visuals(&self, parts: &[Part], drawn: Mesh, scene_from_scan: &Pose) -> Vec<Visual> {
@@ -181,21 +209,37 @@ pub fn patient_file(scene: &Source) -> Option<PathBuf> {
     Some(assets::file_of(Path::new(&heading.scene.patient)))
 }
 
-/// What things lie on in a scene whose file says `shape`, and `scene` if it has that table.
+/// Refuses a needle that `scene` names in a scene without a choice of needles.
 ///
 /// # Errors
-/// Those of the shape's ranges, of the patient, and of what does not fit.
+/// [`ConfigError::Refused`].
+pub(super) fn without_choice(
+    source: &Source,
+    scene: Option<&SceneFile>,
+) -> Result<(), ConfigError> {
+    let named = scene.and_then(|scene| scene.needle.as_deref());
+    let Some(name) = named else {
+        return Ok(());
+    };
+    let reason = "this kind of scene has no choice of needles";
+    Err(source.refused("scene.needle", name, reason))
+}
+
+/// What `needle` lies on from its `start` in a scene whose file says `shape`, and `scene` if it has that table.
+///
+/// # Errors
+/// Those of the shape's ranges, of the patient, and of a needle that lies on none of its patches.
 pub(super) fn ground(
     source: &Source,
+    common: &Common,
     shape: OrganShape,
     scene: Option<&SceneFile>,
-    fits: impl Fn(&Organ) -> Result<(), ConfigError>,
+    start: &NeedleStart,
+    needle: &NeedleShape,
 ) -> Result<(Organ, Option<Arc<Patient>>), ConfigError> {
     shape.check(source, "organ")?;
     let Some(scene) = scene else {
-        let organ = Organ::Rolling(shape);
-        fits(&organ)?;
-        return Ok((organ, None));
+        return Ok((Organ::Rolling(shape), None));
     };
     let site = Site {
         half_m: [0.5 * shape.length_m, 0.5 * shape.width_m],
@@ -203,7 +247,11 @@ pub(super) fn ground(
         radii_m: patch::NARROW_TOO,
         incision: None,
     };
-    let patient = scene.load(source, &site, fits)?;
+    let patient = scene.load(source, &site, |organ| {
+        start.check_on(source, needle, organ)?;
+        let scenery = |seed| start.scenery(seed, needle, organ);
+        common.check_rests(source, &scene.organ, scenery)
+    })?;
     let organ = Organ::Measured(Arc::clone(&patient.organ));
     Ok((organ, Some(Arc::new(patient))))
 }

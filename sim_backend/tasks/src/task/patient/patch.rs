@@ -24,6 +24,9 @@ const APART_M: f64 = 0.015;
 /// Size of the body, m: no organ reaches further.
 const ORGAN_M_MAX: f64 = 1.0;
 
+/// A vertex and its normal.
+type Place = (Point3<f64>, Vector3<f64>);
+
 /// The place, as the pose that the patient has with it under the instruments.
 pub(super) struct Patch {
     pub(super) scene_from_scan: Pose,
@@ -45,31 +48,19 @@ impl Patch {
             let size = format!("it is {extent_m:.2} m long, of at most {ORGAN_M_MAX} m");
             return Err(size);
         }
-        let front: Vec<(Point3<f64>, Vector3<f64>)> = places(mesh)
-            .filter(|(_, normal)| normal.y >= FRONT_MIN)
-            .collect();
+        let front = front(mesh);
         let (centre_m, radii_m) = (site.centre_m, site.radii_m);
         let of_radius = move |radius_m: &f64| Self::flattest(mesh, &front, centre_m, *radius_m);
         let mut patches = radii_m.iter().flat_map(of_radius).peekable();
         if patches.peek().is_some() {
             return Ok(patches);
         }
-        let least_mm = 1e3 * radii_m.iter().fold(f64::INFINITY, |a, b| a.min(*b));
-        Err(format!(
-            "no place on its front has {least_mm:.0} mm of surface around it and nothing beside that stands up"
-        ))
+        Err(too_narrow(mesh, radii_m))
     }
 
     /// The flattest patches of `radius_m` about vertices of the `front`, the flattest first.
-    fn flattest(
-        mesh: &Mesh,
-        front: &[(Point3<f64>, Vector3<f64>)],
-        centre_m: [f64; 3],
-        radius_m: f64,
-    ) -> Vec<Self> {
-        let step = front.len().div_ceil(PLACES_MAX).max(1);
-        let patches = front.iter().step_by(step);
-        let patches = patches.filter_map(|(at, normal)| {
+    fn flattest(mesh: &Mesh, front: &[Place], centre_m: [f64; 3], radius_m: f64) -> Vec<Self> {
+        let patches = sample(front).filter_map(|(at, normal)| {
             let patch = Self::at(mesh, at, normal, centre_m, radius_m)?;
             Some((*at, patch))
         });
@@ -126,12 +117,63 @@ fn facing(at: &Point3<f64>, normal: &Vector3<f64>) -> Pose {
 }
 
 /// Vertices with their normals.
-fn places(mesh: &Mesh) -> impl Iterator<Item = (Point3<f64>, Vector3<f64>)> + '_ {
+fn places(mesh: &Mesh) -> impl Iterator<Item = Place> + '_ {
     let pairs = mesh.positions.iter().zip(&mesh.normals);
     pairs.map(|(at, normal)| {
         let normal = Vector3::from(normal.map(f64::from));
         (Point3::from(at.map(f64::from)), normal.normalize())
     })
+}
+
+/// Those on the patient's front.
+fn front(mesh: &Mesh) -> Vec<Place> {
+    let places = places(mesh);
+    let on_front = places.filter(|(_, normal)| normal.y >= FRONT_MIN);
+    on_front.collect()
+}
+
+/// Those that are looked at.
+fn sample(front: &[Place]) -> impl Iterator<Item = &Place> {
+    let step = front.len().div_ceil(PLACES_MAX).max(1);
+    front.iter().step_by(step)
+}
+
+/// How far the organ reaches all around a place, m: its nearest edge, up to 4 mm further than it is.
+fn reach_m(mesh: &Mesh, (at, normal): &Place) -> f64 {
+    let relief = Relief::of(mesh, &facing(at, normal), [AROUND_M; 2], SPACING_M);
+    let edges = relief.points().filter(|(_, _, height_m)| height_m.is_nan());
+    let distances_m = edges.map(|(x, y, _)| x.hypot(y));
+    distances_m.fold(f64::INFINITY, f64::min)
+}
+
+/// Why `mesh` has no patch of any of `radii_m`.
+fn too_narrow(mesh: &Mesh, radii_m: &[f64]) -> String {
+    let needed_m = radii_m.iter().copied().fold(f64::INFINITY, f64::min);
+    let needed = format!(
+        "no place on its front has {:.0} mm of surface around it, as the task needs, and nothing beside that stands up",
+        1e3 * needed_m
+    );
+    let front = front(mesh);
+    let reaches = sample(&front).map(|place| (reach_m(mesh, place), place.0));
+    let widest = reaches.max_by(|(a, _), (b, _)| a.total_cmp(b));
+    let Some((reach_m, at)) = widest else {
+        return format!("{needed}: nothing of it faces the front");
+    };
+    let at = in_scan(at.into());
+    if reach_m > needed_m {
+        let high_mm = 1e3 * STANDS_UP_M;
+        return format!(
+            "{needed}: about the widest, {at}, it stands up by more than {high_mm:.0} mm"
+        );
+    }
+    let reach_mm = 1e3 * reach_m;
+    format!("{needed}: the widest, {at}, is less than {reach_mm:.0} mm from its edge")
+}
+
+/// A point of the scan in words.
+pub(super) fn in_scan(point_m: [f64; 3]) -> String {
+    let [x, y, z] = point_m.map(|along_m| 1e3 * along_m);
+    format!("({x:.0}, {y:.0}, {z:.0}) mm in the scan")
 }
 
 /// The longest side of the box around it, m.

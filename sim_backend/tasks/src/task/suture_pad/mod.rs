@@ -154,13 +154,17 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
         camera: file.camera,
         rendering: file.rendering,
         episode: file.episode,
-    };
+    }
+    .check(source, KIND.arms)?;
+    patient::without_choice(source, file.scene.as_ref())?;
     let patient = file.scene.as_ref().map(|scene| {
         let site = site(&file.pad, &file.needle_start, &file.needle);
         let start = file.needle_start.on_organ(&file.needle);
         let fits = |organ: &Organ| {
             start.check_on(source, &file.needle, organ)?;
-            check_fold(source, &file.pad, organ)
+            check_fold(source, &file.pad, organ)?;
+            let scenery = |seed| before_fold(&file.pad, &start, &file.needle, organ, seed);
+            common.check_rests(source, &scene.organ, scenery)
         };
         Ok(Arc::new(scene.load(source, &site, fits)?))
     });
@@ -214,6 +218,27 @@ fn check_fold(source: &Source, pad: &PadShape, organ: &Organ) -> Result<(), Conf
     Ok(())
 }
 
+/// A needle on a patient's `organ`, before the fold that is there in the place of the lip of `pad`, at the start of the episode `seed`.
+fn before_fold(
+    pad: &PadShape,
+    start: &NeedleStart,
+    needle: &NeedleShape,
+    organ: &Organ,
+    seed: u64,
+) -> Scenery {
+    let in_scene = start.draw(seed, needle, organ);
+    let soft = SoftOrgan {
+        organ: organ.clone(),
+        ground: ON_ORGAN,
+        press: PRESSED_ORGAN,
+    };
+    Scenery {
+        things: vec![RigidBody::needle_on_any_ground(needle, in_scene)],
+        ground: Ground::OrganWithSolids(soft, Fold::of(pad).solids()),
+        flap: None,
+    }
+}
+
 /// A patient's organ as things meet it.
 fn organ_of(patient: &Patient) -> Organ {
     Organ::Measured(Arc::clone(&patient.organ))
@@ -259,26 +284,14 @@ impl PadStart {
 
 impl TaskScene for SuturePad {
     fn scenery(&self, seed: u64) -> Scenery {
-        let in_scene = self.needle_in_scene(seed);
-        let (thing, ground) = if let Some(organ) = self.organ() {
-            let soft = SoftOrgan {
-                organ,
-                ground: ON_ORGAN,
-                press: PRESSED_ORGAN,
-            };
-            (
-                RigidBody::needle_on_any_ground(&self.needle, in_scene),
-                Ground::OrganWithSolids(soft, Fold::of(&self.pad).solids()),
-            )
-        } else {
-            (
-                RigidBody::bare_needle(&self.needle, in_scene),
-                Ground::Solids(self.pad.solids()),
-            )
-        };
+        if let Some(organ) = self.organ() {
+            let start = self.start.on_organ(&self.needle);
+            return before_fold(&self.pad, &start, &self.needle, &organ, seed);
+        }
+        let in_scene = self.start.draw(seed, &self.needle);
         Scenery {
-            things: vec![thing],
-            ground,
+            things: vec![RigidBody::bare_needle(&self.needle, in_scene)],
+            ground: Ground::Solids(self.pad.solids()),
             flap: None,
         }
     }
@@ -354,15 +367,6 @@ impl SuturePad {
     /// The organ that the needle lies on, if it is a patient's.
     fn organ(&self) -> Option<Organ> {
         self.patient.as_deref().map(organ_of)
-    }
-
-    /// The needle's pose at the start of the episode `seed`.
-    fn needle_in_scene(&self, seed: u64) -> Pose {
-        let flat = || self.start.draw(seed, &self.needle);
-        self.organ().map_or_else(flat, |organ| {
-            let start = self.start.on_organ(&self.needle);
-            start.draw(seed, &self.needle, &organ)
-        })
     }
 }
 

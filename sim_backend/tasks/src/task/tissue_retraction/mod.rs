@@ -121,7 +121,9 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
         camera: file.camera,
         rendering: file.rendering,
         episode: file.episode,
-    };
+    }
+    .check(source, KIND.arms)?;
+    patient::without_choice(source, file.scene.as_ref())?;
     let patient = file.scene.as_ref().map(|scene| {
         let site = site(&file.liver, &file.tissue);
         Ok(Arc::new(scene.load(source, &site, |organ| {
