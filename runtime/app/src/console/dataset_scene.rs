@@ -19,9 +19,9 @@ use trocar_tasks::task::{Variation, View};
 
 use super::path::{self, Lenses, Path};
 use super::scene;
+use crate::digest::hash_text;
 use crate::session::changes::{Change, Changes, ConfigFile};
 use crate::session::{SessionError, Setup};
-use crate::digest::hash_text;
 
 /// Height of the remote centre of an arm of which it is not known where it stands, m: about as far as instruments reach.
 const RCM_M: f64 = 0.12;

@@ -16,8 +16,8 @@ use trocar_data::relative_action::pose_from_numbers;
 use trocar_tasks::task::TaskFiles;
 
 use super::dataset_scene::DatasetScene;
-use super::facts::{AxisRange, EpisodeFacts, EventFacts, Facts, OfDataset};
 use super::drawn::{Drawn, Pixels, Plane, Stream};
+use super::facts::{AxisRange, EpisodeFacts, EventFacts, Facts, OfDataset};
 use super::{encode, path};
 use crate::session::{PolicyChoice, SessionError, Setup};
 

@@ -21,8 +21,8 @@ use tokio::sync::watch;
 use tokio::time::interval;
 use trocar_log::live;
 
-use super::encode::HEAD;
 use super::drawn::{Plane, Stream};
+use super::encode::HEAD;
 use super::request::TokenBucket;
 use super::scene::{self, Shapes};
 use super::seats::Seat;

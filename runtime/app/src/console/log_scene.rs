@@ -14,9 +14,9 @@ use trocar_tasks::cameras::{SceneCameras, SceneModel};
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_tasks::task::{TaskConfig, Variation, View};
 
+use super::drawn::{Drawn, Pixels, Plane, Stream};
 use super::log_states::States;
 use super::path::Lenses;
-use super::drawn::{Drawn, Pixels, Plane, Stream};
 use super::scene::is_placed;
 use super::{encode, scene};
 use crate::session::{SessionError, scene_record};

@@ -54,7 +54,7 @@ impl States {
         }
     }
 
-    fn wants(&self, tick: u64) -> bool {
+    pub(super) fn wants(&self, tick: u64) -> bool {
         let newest = self.kept.last_key_value();
         newest.is_none_or(|(newest, _)| tick >= newest.saturating_add(self.every_ticks))
     }

@@ -15,11 +15,11 @@ pub use allocations::{CountingAllocator, thread_allocations};
 pub use held::{CPU_DMA_LATENCY, Held, hold_cpu_latency};
 pub use periodic::{Periodic, Wake};
 pub use profile::RtProfile;
+pub(crate) use sys::peak_memory;
 pub use sys::{
     MemoryLockLimit, arms_rest, can_lock_bytes, catch_interrupts, catch_interrupts_in_motion,
     end_with_parent, interrupt_process, interrupted, memory_lock_limit,
 };
-pub(crate) use sys::peak_memory;
 pub use thread::{
     Grant, RtOptions, RtRefused, RtReport, ThreadFaults, configure_thread, lock_memory,
     thread_faults,

@@ -269,6 +269,7 @@ impl Verb {
             | Self::Home(_)
             | Self::Clear(_)
             | Self::Speed(_)
+            | Self::Mark(_)
             | Self::Stop(_)
             | Self::Study(_)
             | Self::Demo(_)

@@ -20,9 +20,9 @@ use trocar_tasks::cameras::SceneModel;
 use trocar_tasks::scene::{SceneSnapshot, THINGS_MAX};
 use trocar_world::ArmBodies;
 
+use super::drawn::Stream;
 use super::encode;
 use super::path::Lenses;
-use super::drawn::Stream;
 use super::pictures::Board;
 use glb::Writer;
 pub(super) use shapes::Shapes;

@@ -9,9 +9,7 @@ use trocar_tasks::cameras::SceneCameras;
 use trocar_tasks::task::Outcome;
 
 use super::notes::{ByHandNote, EpisodeNote, source};
-use super::{
-    Attempt, Begun, Demonstration, RecordOptions, RecordSummary, StoredFrame, arm_frame,
-};
+use super::{Attempt, Begun, Demonstration, RecordOptions, RecordSummary, StoredFrame, arm_frame};
 use crate::console::Console;
 use crate::rt;
 use crate::session::realtime::run_realtime;

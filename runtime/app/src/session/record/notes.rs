@@ -9,11 +9,11 @@ use trocar_tasks::disturbance::Disturbance;
 use trocar_tasks::task::{Drawn, PatientPlacement, Variation};
 
 use super::{Attempt, RecordOptions};
+use crate::digest::hash_text;
 use crate::session::policy_choice::OPERATOR;
 use crate::session::source::ChunkSource;
 use crate::session::teleop::{OperatorFigures, TeleopSummary};
 use crate::session::{Plan, PolicyChoice, SessionError};
-use crate::digest::hash_text;
 
 /// By how much longer a disturbed demonstration may take than the task allows.
 pub const DISTURBED_TIME_FACTOR: u32 = 2;

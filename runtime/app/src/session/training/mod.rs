@@ -190,9 +190,7 @@ fn train_from(
     let dataset = data::open(options)?;
     let result = match options.network {
         NetworkChoice::Act => train_act(options, &dataset, &start, on_progress),
-        NetworkChoice::ActPc => {
-            clouds::train_act_pc(options, &dataset, &start, on_progress)
-        }
+        NetworkChoice::ActPc => clouds::train_act_pc(options, &dataset, &start, on_progress),
         NetworkChoice::Dp3 => clouds::train_dp3(options, &dataset, &start, on_progress),
     }?;
     remove_state(&options.out)?;
@@ -297,11 +295,7 @@ fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {
 }
 
 /// Policy steps between queries: the user's number, which a chunk of `steps` must last for, or `usual`.
-fn query_every(
-    options: &TrainingOptions,
-    usual: u32,
-    steps: i64,
-) -> Result<u32, SessionError> {
+fn query_every(options: &TrainingOptions, usual: u32, steps: i64) -> Result<u32, SessionError> {
     let every = options.query_every.unwrap_or(usual);
     if i64::from(every) <= steps {
         return Ok(every);
