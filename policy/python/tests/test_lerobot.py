@@ -270,6 +270,6 @@ def test_a_rate_that_is_none_is_refused(fps: Any, tmp_path: Path) -> None:
 
 
 def test_a_session_asks_within_what_a_slow_policy_answers() -> None:
-    """The same as a trained policy of ours has it: `policy_steps` of runtime/app/src/session/training_recipe.rs."""
+    """The same as a trained policy of ours has it: `policy_steps` of runtime/app/src/session/training/save.rs."""
     assert [policy_steps(25, 1_000_000_000 // fps) for fps in (25, 50, 5, 30)] == [25, 12, 25, 20]
     assert policy_steps(1, 20_000_000) == 1
