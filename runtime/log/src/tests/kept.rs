@@ -362,10 +362,10 @@ fn a_file_of_another_run_is_not_the_one_before() {
             }
         }
     };
-    let changes: [&dyn Fn(&mut Vec<Item>); 2] = [&without_end, &of_other_seed];
-    for change in changes {
-        let mut items = before.clone();
-        change(&mut items);
+    let [mut cut, mut other] = [before.clone(), before];
+    without_end(&mut cut);
+    of_other_seed(&mut other);
+    for mut items in [cut, other] {
         rehash(&mut items);
         std::fs::write(&files.before.0, written(&items)).unwrap();
         let replayed = of_file(&files.last.0);
