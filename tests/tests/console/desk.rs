@@ -91,6 +91,8 @@ fn a_keyboard_at_the_robot_moves_the_arm() {
     assert!(page.command("stop").0);
     page.wait_for("end", |_| true);
     assert_eq!(served.code(), 1);
+    let result = tests::json(&served.folder.join("result.json"));
+    assert_eq!(result["teleop"]["device"], "input_device");
     verified(&log);
 }
 

@@ -196,6 +196,11 @@ fn what_no_replay_recomputes_is_compared_by_its_hash() {
             map.insert("commit".to_owned(), "another".to_owned());
         });
     });
+    found("hands", "contents", |items| {
+        change_metadata(items, "outcome", |map| {
+            map.insert("teleop".to_owned(), "{}".to_owned());
+        });
+    });
     // Limits that no command came near.
     found("limits", "contents", |items| {
         change_metadata(items, "configuration", |map| {

@@ -48,7 +48,7 @@ pub use demonstration::{Demonstration, DemonstrationStep, EpisodeCommand};
 pub(crate) use desk::attend;
 pub(crate) use hands::Hands;
 pub(crate) use intervention::{Intervention, TeleopCommand};
-pub use latency::{FrameAgeMs, InterventionSummary, TeleopSummary};
+pub use latency::{FrameAgeMs, HandDevice, InterventionSummary, TeleopSummary};
 pub(crate) use message::{HandsMessage, HandsMessageError};
 pub use operator::{DELAYS_MS, OperatorFigures, SimulatedOperator, TREMORS_MM};
 pub use source::Teleop;
