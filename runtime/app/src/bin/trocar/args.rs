@@ -161,7 +161,7 @@ pub(crate) enum Verb {
         after_help = "Example: trocar drives --task needle-lift --seed 7\n         trocar drives --config runs/can.toml --fault kind=pull,node=3,at=2s --json runs/drives.json"
     )]
     Drives(DrivesArgs),
-    /// Simulate the arms of a task with their world and cameras in a process of its own, led over topics by `run --backend topics`.
+    /// Simulate the arms of a task with their world and cameras in a process of its own, commanded over topics by `run --backend topics`.
     #[command(
         after_help = "Example: trocar simulator --task needle-lift --seed 7 --topics lab --cameras multi\n         trocar run --task needle-lift --seed 7 --policy expert --backend topics --topics lab"
     )]

@@ -1,5 +1,5 @@
 //! A robot in real time: limits and a policy, neither task nor verdict. Its arms are behind anyone's rig ([`run_rig`]), on CAN
-//! ([`run_robot_on_can`](super::run_robot_on_can)) or led by another process ([`run_robot_on_topics`](super::run_robot_on_topics)).
+//! ([`run_robot_on_can`](super::run_robot_on_can)) or in another process ([`run_robot_on_topics`](super::run_robot_on_topics)).
 
 mod own_rig;
 mod scene;
