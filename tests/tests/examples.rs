@@ -39,6 +39,25 @@ fn an_own_policy_is_asked_and_its_chunks_are_taken() {
     assert_eq!(summary.policy.refused, 0, "{summary:?}");
 }
 
+/// The trials are those of single runs, however many there are at a time: each begins with the policy as it was at first.
+#[test]
+fn an_own_policy_is_evaluated() {
+    let run = own_policy::run().unwrap().summary;
+    let commands = |jobs: usize| {
+        let evaluated = own_policy::evaluate(2, jobs).unwrap();
+        assert_eq!(evaluated.policy, "circles");
+        assert_eq!((evaluated.trials, evaluated.successes), (2, 0));
+        let trials = evaluated.episodes.into_iter();
+        let trials = trials.map(|trial| (trial.seed, trial.command_hash));
+        trials.collect::<Vec<_>>()
+    };
+    let found = commands(1);
+    let seeds: Vec<u64> = found.iter().map(|(seed, _)| *seed).collect();
+    assert_eq!(seeds, [7, 8]);
+    assert_eq!(found.first().unwrap().1, run.command_hash);
+    assert_eq!(found, commands(2));
+}
+
 /// An own robot runs in real time and its log replays and verifies.
 #[test]
 fn own_robot_runs_and_its_log_verifies() {
