@@ -346,7 +346,8 @@ pub(crate) struct RunArgs {
     #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
     pub(crate) seconds: Option<f64>,
     /// With --safety: the axes in which an operator's hands move an arm, once an arm: how the view (x to the right, y up, z towards the viewer) is turned
-    /// in the arm's RCM frame, degrees about its x, then y, then z. --policy teleop needs it, and so does whoever is to take over from a policy on the --console.
+    /// in the arm's RCM frame, degrees about its x, then y, then z. --policy teleop needs it, and so does whoever is to take over from a policy on the --console or
+    /// by --hands.
     #[arg(
         long,
         value_name = "ARM=X,Y,Z",
