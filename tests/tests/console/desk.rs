@@ -234,12 +234,10 @@ fn hands_at_the_robot_need_no_page() {
     let words = "run --task needle-lift --policy noop --no-log --set scene.episode.time_limit_s=3";
     let mut run = tests::trocar()
         .args(words.split(' '))
-        .args([
-            "--hands".as_ref(),
-            keys.as_os_str(),
-            "--json".as_ref(),
-            result.as_os_str(),
-        ])
+        .arg("--hands")
+        .arg(&keys)
+        .arg("--json")
+        .arg(&result)
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
