@@ -196,8 +196,8 @@ impl Table {
                 return odd(other);
             }
             let offsets = lists.offsets();
-            let first = offsets.iter().next().copied().unwrap_or(0);
-            let first = usize::try_from(first).unwrap_or(0);
+            #[expect(clippy::expect_used, reason = "arrow asserts it of offsets")]
+            let first = usize::try_from(offsets[0]).expect("offsets are not negative");
             Ok(lists.values().slice(first, width * lists.len()))
         } else {
             let lists = self.cast::<FixedSizeListArray>(column, name, "a list")?;
