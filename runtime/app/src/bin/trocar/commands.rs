@@ -213,11 +213,12 @@ struct Chosen {
 
 /// The plan of a run with the arms of `setup`.
 fn planned<S>(args: &RunArgs, setup: S, chosen: Chosen) -> Plan<S> {
-    let (log, log_bytes_max) = black_box::log_of(args);
+    let log = black_box::log_of(args);
     Plan {
         seed: args.seed,
-        log,
-        log_bytes_max,
+        log: log.path,
+        log_bytes_max: log.bytes_max,
+        log_opened: log.opened,
         cameras_on: args.topics.clone().filter(|_| args.backend == Backend::Sim),
         log_frames: args.log.is_some() || args.backend != Backend::Sim,
         latency_ms: args.latency_ms,
