@@ -1,4 +1,4 @@
-//! Logs that somebody wrote anew, with all checksums right, and with one thing changed.
+//! Falsified logs: written anew with one thing changed, and all checksums right.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

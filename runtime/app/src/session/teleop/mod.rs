@@ -8,7 +8,7 @@
 //!
 //! A hand moves its arm only while it holds the clutch. At each clutch-in, position and orientation start from what the arm is commanded
 //! to be at, so nothing jumps; a controller engages once it is held as its
-//! instrument points (`alignment`). Hands that are not heard of for [`STALE_NS`], a page that goes, is hidden or loses the right to steer, and
+//! instrument points (`alignment`). Hands without input for [`STALE_NS`], a page that goes, is hidden or loses the right to steer, and
 //! anything that makes no sense release the clutch by force (`ReleaseCause`): then the arm holds until the operator has let the clutch go and
 //! takes it again.
 //!
