@@ -16,7 +16,7 @@ pub(crate) const fn index(count: usize) -> u32 {
 /// A count in 16 bits with a sign, as headers of volumes keep it.
 #[expect(clippy::cast_possible_truncation, reason = "asserted to fit")]
 pub(crate) const fn count_i16(count: usize) -> i16 {
-    assert!(count <= i16::MAX as usize, "a count beyond 15 bits");
+    assert!(count < 1 << 15, "a count beyond 15 bits");
     count as i16
 }
 
