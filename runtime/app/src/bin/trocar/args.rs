@@ -145,8 +145,9 @@ pub(crate) enum Verb {
         after_help = "Example: trocar report runs/sufia-bc --out runs/sufia-bc.html\n         trocar report runs/shard-1 runs/shard-2 --out runs/sufia-bc.md --json runs/sufia-bc.json"
     )]
     Report(ReportArgs),
-    /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical. With --console it is shown with a time line, and
-    /// so are all episodes of a dataset, whose folder is given in the log's place.
+    /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical. It ends at the first gap, records that the logger
+    /// dropped since its disk stood still, and names the tick. With --console it is shown with a time line, and so are all episodes of a
+    /// dataset, whose folder is given in the log's place.
     #[command(
         after_help = "Example: trocar replay runs/a.mcap\n         trocar replay runs/a.mcap --console\n         trocar replay runs/demos --console"
     )]
