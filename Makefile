@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-adversary test-golden test-can test-python test-foxglove test-lerobot test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python setup-lerobot bench clean
+.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-adversary test-golden test-can test-python test-foxglove test-lerobot test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python setup-anatomy setup-lerobot bench clean
 
 TARGET := $(abspath $(or $(CARGO_TARGET_DIR),target))
 TROCAR := $(TARGET)/release/trocar
@@ -29,18 +29,16 @@ CLOCKED := session::realtime::
 LINTED := $(if $(filter 1,$(TROCAR_LINT)),--bench '*' --examples)
 
 # Everything that can fail for a reason in this tree, of a release with assertions. What reads a clock, or waits for a bus, Python or a
-# browser, runs in turn; what needs no clock has the processor time that they leave, and so has the compiler once the first of them,
-# which mostly wait for their bus, are there.
-test: setup setup-can checked
+# person's hands, runs in turn; what needs no clock has the processor time that they leave, and so has the compiler once the first of them,
+# which mostly wait for their bus, are there. All is installed before: no two installers run at a time.
+test: setup setup-can setup-python setup-anatomy setup-browser checked
 	$(CARGO) test --workspace --test can_bus --no-run
 	$(MAKE) -j2 --output-sync=target test-in-turn test-beside
 
 test-in-turn:
 	$(MAKE) test-can
 	$(MAKE) test-python
-	$(MAKE) test-anatomy-short
 	$(MAKE) test-clocked
-	$(MAKE) test-study
 	$(MAKE) test-console
 
 # One cargo at a time: until the CAN tests run.
@@ -49,6 +47,8 @@ test-beside:
 	.ci/idle $(CARGO) test --workspace --tests $(LINTED) --no-run
 	.ci/idle $(MAKE) test-units
 	.ci/idle $(MAKE) test-clockless
+	.ci/idle $(MAKE) test-study
+	.ci/idle $(MAKE) test-anatomy-short
 	.ci/idle $(CARGO) test --workspace --doc
 
 test-units: setup
@@ -102,8 +102,7 @@ test-console: setup setup-browser checked
 	$(CARGO) test --workspace --test console -- --ignored --test-threads=1
 
 # Patients of scans: what nibabel, SimpleITK, trimesh, usd-core and the Khronos glTF validator say of a small phantom's meshes.
-test-anatomy-short: setup checked
-	@.ci/setup-anatomy.sh
+test-anatomy-short: setup setup-anatomy checked
 	TROCAR=$(TROCAR_CHECKED) target/anatomy/bin/python -B tests/scripts/anatomy.py --short target/scratch/anatomy-short
 
 # The same of a larger one, and foreign stages, a DICOM series, label volumes of others; the crate's tests. Not part of `make test`.
@@ -160,6 +159,10 @@ setup-browser:
 # Only the tests of the Python package need what this installs.
 setup-python:
 	@.ci/setup-python.sh
+
+# Only the tests of patients' meshes need what this installs.
+setup-anatomy:
+	@.ci/setup-anatomy.sh
 
 # Only the tests with LeRobot need what this installs.
 setup-lerobot:

@@ -1,12 +1,13 @@
 //! Configuration files: TOML parsed once, checked once, and errors that name file, line, key and allowed range.
 
-use std::fs;
-use std::io;
 use std::ops::Range;
+use std::path::Path;
 
 use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
+
+use crate::files;
 
 /// Most bytes of a configuration file.
 const SIZE_MAX: u64 = 1 << 20;
@@ -90,19 +91,8 @@ impl Source {
             path: path.to_owned(),
             source,
         };
-        let found = fs::metadata(path).map_err(unreadable)?;
-        let refused = |reason: &str| unreadable(io::Error::other(reason.to_owned()));
-        // A device or a pipe may never end, and opening a pipe may wait for ever.
-        if !found.is_file() && !found.is_dir() {
-            return Err(refused("it is a device, a pipe or a socket, not a file"));
-        }
-        if found.len() > SIZE_MAX {
-            return Err(refused(&format!(
-                "it has {} bytes, a configuration at most {SIZE_MAX}",
-                found.len()
-            )));
-        }
-        let text = fs::read_to_string(path).map_err(unreadable)?;
+        let text = files::read_text(Path::new(path), "a configuration", SIZE_MAX);
+        let text = text.map_err(unreadable)?;
         Ok(Self {
             path: path.to_owned(),
             text,

@@ -5,6 +5,7 @@ pub mod camera;
 pub mod chunk;
 pub mod config;
 pub mod count;
+pub mod files;
 pub mod joints;
 pub mod mesh;
 pub mod per_arm;

@@ -109,17 +109,25 @@ def check(messages):
     """Counts the messages, and puts the frames together."""
     counts = collections.Counter()
     parents = {}
+    bent = set()
     for topic, schema, message, data in messages:
         counts[topic, schema] += 1
         if schema.startswith("foxglove.") and not isinstance(message, dict):
             message = by_sdk(schema)(data)
             assert unknown(message) == 0, f"{topic}: {schema} has other fields than the SDK's"
+        if schema == "foxglove.SceneUpdate":
+            for entity in message.entities:
+                for shape in entity.triangles:
+                    assert max(shape.indices) < len(shape.points) and len(shape.indices) % 3 == 0, entity.id
+                    bent.add(entity.id)
         if schema == "foxglove.FrameTransforms":
             for transform in message.transforms:
                 child, parent = transform.child_frame_id, transform.parent_frame_id
                 assert parents.setdefault(child, parent) == parent, f"{child} has two parents"
     for (topic, schema), count in sorted(counts.items()):
         print(f"{count:7} {topic} {schema}")
+    if bent:
+        print(f"shapes that bend: {', '.join(sorted(bent))}")
     assert parents, "no frames"
     for frame in list(parents):
         top = frame

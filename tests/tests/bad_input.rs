@@ -6,7 +6,8 @@
 )]
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
 
 use tests::{repository, scratch, stderr, trocar};
 
@@ -44,14 +45,20 @@ fn built_in_config() -> String {
     fs::read_to_string(repository().join("config/control.toml")).unwrap()
 }
 
-/// A copy of the committed checkpoint that `damage` may spoil; in real time, where another process loads it, the same is said.
-fn run_with_checkpoint(name: &str, damage: impl Fn(&Path)) -> String {
+/// A copy of the committed checkpoint.
+fn checkpoint(name: &str) -> PathBuf {
     let folder = scratch(name).join("checkpoint");
     fs::create_dir_all(&folder).unwrap();
     for entry in fs::read_dir(repository().join(COMMITTED)).unwrap() {
         let entry = entry.unwrap();
         fs::copy(entry.path(), folder.join(entry.file_name())).unwrap();
     }
+    folder
+}
+
+/// A run with a checkpoint that `damage` may spoil; in real time, where another process loads it, the same is said.
+fn run_with_checkpoint(name: &str, damage: impl Fn(&Path)) -> String {
+    let folder = checkpoint(name);
     damage(&folder);
     let folder = folder.display().to_string();
     let run = ["run", "--task", "needle-lift", "--policy", &folder];
@@ -119,6 +126,47 @@ fn missing_weights_are_refused() {
         fs::remove_file(folder.join("model.safetensors")).unwrap();
     });
     assert!(message.contains("model.safetensors"), "{message}");
+}
+
+/// What `trocar` with `arguments` says within a minute; it is killed after that, since a pipe that nobody writes to is waited for without end.
+fn within_a_minute(arguments: &[&str]) -> Output {
+    let mut command = trocar();
+    command.args(arguments).stdout(Stdio::null());
+    let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
+    let ended = (0..600).any(|_| {
+        trocar::rt::sleep_ns(100_000_000);
+        child.try_wait().unwrap().is_some()
+    });
+    if !ended {
+        child.kill().unwrap();
+    }
+    assert!(ended, "{arguments:?}: it waits");
+    child.wait_with_output().unwrap()
+}
+
+#[test]
+fn pipe_in_place_of_a_checkpoints_file_is_refused() {
+    let folder = checkpoint("piped-checkpoint");
+    let policy = folder.display().to_string();
+    for name in [
+        "trocar.json",
+        "config.json",
+        "policy_preprocessor.json",
+        "policy_preprocessor_step_3_normalizer_processor.safetensors",
+        "model.safetensors",
+    ] {
+        let (file, aside) = (folder.join(name), folder.join("aside"));
+        fs::rename(&file, &aside).unwrap();
+        let made = Command::new("mkfifo").arg(&file).status().unwrap();
+        assert!(made.success());
+        let eval = ["eval", "--task", "needle-lift", "--trials", "1"];
+        let output = within_a_minute(&[&eval[..], &["--policy", &policy]].concat());
+        let told = stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{name}: {told}");
+        let expected = format!("{name}: it is a device, a pipe or a socket, not a file");
+        assert!(told.contains(&expected), "{told}");
+        fs::rename(&aside, &file).unwrap();
+    }
 }
 
 #[test]

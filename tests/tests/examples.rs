@@ -14,13 +14,17 @@ mod own_policy;
 #[path = "../../runtime/app/examples/own_robot.rs"]
 mod own_robot;
 
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use tests::{repository, scratch};
 use trocar::rt::{self, MonotonicClock};
-use trocar_log::RunLog;
+use trocar::session::SessionError;
+use trocar::session::run::RunResult;
 use trocar_log::replay::replay;
 use trocar_log::verify::verify;
+use trocar_log::{LoggedItem, RunLog, read_items};
 use trocar_topics::{CameraTopic, TopicNode};
 
 #[test]
@@ -37,6 +41,25 @@ fn an_own_policy_is_asked_and_its_chunks_are_taken() {
     assert_eq!((result.ok, summary.success), (false, Some(false)));
     assert!(summary.policy.queries > 50, "{summary:?}");
     assert_eq!(summary.policy.refused, 0, "{summary:?}");
+}
+
+/// The trials are those of single runs, however many there are at a time: each begins with the policy as it was at first.
+#[test]
+fn an_own_policy_is_evaluated() {
+    let run = own_policy::run().unwrap().summary;
+    let commands = |jobs: usize| {
+        let evaluated = own_policy::evaluate(2, jobs).unwrap();
+        assert_eq!(evaluated.policy, "circles");
+        assert_eq!((evaluated.trials, evaluated.successes), (2, 0));
+        let trials = evaluated.episodes.into_iter();
+        let trials = trials.map(|trial| (trial.seed, trial.command_hash));
+        trials.collect::<Vec<_>>()
+    };
+    let found = commands(1);
+    let seeds: Vec<u64> = found.iter().map(|(seed, _)| *seed).collect();
+    assert_eq!(seeds, [7, 8]);
+    assert_eq!(found.first().unwrap().1, run.command_hash);
+    assert_eq!(found, commands(2));
 }
 
 /// An own robot runs in real time and its log replays and verifies.
@@ -75,6 +98,60 @@ fn a_rig_of_another_number_of_arms_is_refused() {
     assert!(refused.contains("the rig has 1 arms"), "{refused}");
 }
 
+/// An own robot led by the committed policy for needle lift, whose endoscope an own camera shows with `side` by `side` pixels, and its log.
+fn led_by_sight(side: u32) -> (Result<RunResult, SessionError>, PathBuf) {
+    let log = scratch(&format!("own-robot-sees-{side}")).join("run.mcap");
+    let topics = format!("own-robot-{side}-{}", std::process::id());
+    let safety = repository().join("config/tasks/needle-lift/safety.toml");
+    let policy = repository().join("config/policies/needle-lift/act-compact");
+    let ended = AtomicBool::new(false);
+    let result = thread::scope(|scope| {
+        let camera = scope.spawn(|| {
+            own_camera::run(&topics, "endoscope", side, |_| {
+                ended.load(Ordering::Acquire)
+            })
+        });
+        let result = own_robot::run_trained(&safety, &policy, &topics, log.clone());
+        ended.store(true, Ordering::Release);
+        camera.join().unwrap().unwrap();
+        result
+    });
+    (result, log)
+}
+
+/// The log has what the policy saw.
+#[test]
+fn a_committed_policy_leads_an_own_robot_by_an_own_camera() {
+    let (result, log) = led_by_sight(512);
+    let result = result.unwrap();
+    let summary = result.summary;
+    assert!(result.ok, "{summary:?}");
+    assert_eq!(summary.reason, "the 2 s are over");
+    assert!(summary.policy.queries > 0, "{summary:?}");
+    let mut frames = 0;
+    read_items(&log, |item| {
+        if let LoggedItem::Image { camera, .. } = item {
+            assert_eq!(camera, "endoscope");
+            frames += 1;
+        }
+    })
+    .unwrap();
+    assert!(frames > 5, "{frames}");
+    let log = RunLog::open(&log).unwrap();
+    assert!(replay(&log).unwrap().identical);
+    assert!(verify(&log).unwrap().ok);
+}
+
+#[test]
+fn an_own_camera_of_another_size_is_refused() {
+    let refused = led_by_sight(256).0.unwrap_err().to_string();
+    assert!(
+        refused.contains("camera endoscope on topics")
+            && refused.contains("shows 256 x 256 pixels, the policy was trained with 512 x 512"),
+        "{refused}"
+    );
+}
+
 /// Frames of the example's camera as a run sees them: of the size that it says, stamped with the time of now, each newer than the
 /// one before, and another picture.
 #[test]
@@ -83,7 +160,8 @@ fn an_own_cameras_frames_are_seen_as_they_come() {
     let node = TopicNode::join(&topics).unwrap();
     let mut seen = CameraTopic::subscriber(&node, "endoscope").unwrap();
     let clock = MonotonicClock::new();
-    let camera = thread::spawn(move || own_camera::run(&topics, "endoscope", 100));
+    let camera =
+        thread::spawn(move || own_camera::run(&topics, "endoscope", 256, |shown| shown == 100));
     let mut frames: Vec<(u64, Vec<u8>)> = Vec::new();
     while frames.len() < 5 {
         assert!(clock.now().seconds() < 30.0, "{} frames", frames.len());

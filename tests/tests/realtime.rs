@@ -285,6 +285,7 @@ fn a_simulated_run_keeps_its_log_unasked() {
         "realtime.control.cpu=1000",
     ]);
     assert_eq!((code, kept.exists()), (Some(1), false), "{said}");
+    assert!(!said.contains("simulation.mcap"), "{said}");
     let (code, said) = run(&["--no-log"]);
     assert_eq!((code, kept.exists()), (Some(1), false), "{said}");
     let (code, said) = run(&[]);

@@ -25,9 +25,7 @@ pub use frame::{CameraTopic, FrameHeader, FrameLoan, FramePublisher, FrameSubscr
 pub use message::{ArmReport, PolicyStage, PolicyStatus, RunCommand, RunControl};
 pub use node::{TopicNode, check_run_id};
 pub use port::{Message, Publisher, Subscriber, Topic};
-pub use scene::{
-    LINE_BYTES_MAX, Line, PoseMessage, SCENE_ARMS_MAX, SceneArm, SceneReport, SceneTissue, Verdict,
-};
+pub use scene::{LINE_BYTES_MAX, Line, PoseMessage, SceneArm, SceneReport, SceneTissue, Verdict};
 pub use shm::{SHARED_MEMORY_DIR, SharedMemorySpace, shared_memory_space};
 pub use snapshot::{
     CamerasStatus, FLAP_NODES_MAX, Flap, InstrumentParts, SCENE_THINGS_MAX, SnapshotReport,

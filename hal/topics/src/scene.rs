@@ -7,10 +7,7 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use super::Message;
 use super::message::{pose, xyzw};
-use hal::{Pose, TimeNs};
-
-/// Arms that a scene can have.
-pub const SCENE_ARMS_MAX: usize = 2;
+use hal::{ARMS_MAX, Pose, TimeNs};
 
 /// A pose in some frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
@@ -153,7 +150,7 @@ pub struct SceneReport {
     /// How many of `arms` there are.
     pub arm_count: u64,
     /// The arms.
-    pub arms: [SceneArm; SCENE_ARMS_MAX],
+    pub arms: [SceneArm; ARMS_MAX],
     /// Whether there is a goal.
     pub has_goal: u64,
     /// Where something is to be brought, scene frame.

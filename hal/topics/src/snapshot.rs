@@ -5,8 +5,8 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use super::{Line, Message, PoseMessage, SCENE_ARMS_MAX};
-use hal::TimeNs;
+use super::{Line, Message, PoseMessage};
+use hal::{ARMS_MAX, TimeNs};
 
 /// Things that move in a scene.
 pub const SCENE_THINGS_MAX: usize = 2;
@@ -78,7 +78,7 @@ pub struct SnapshotReport {
     /// How many of `arms` there are.
     pub arm_count: u64,
     /// The instruments.
-    pub arms: [InstrumentParts; SCENE_ARMS_MAX],
+    pub arms: [InstrumentParts; ARMS_MAX],
     /// Whether there is a soft flap.
     pub has_flap: u64,
     /// The flap.

@@ -24,7 +24,7 @@ def viewed(place: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("task, arms", [("needle-lift", 1), ("needle-handover", 2)])
+@pytest.mark.parametrize("task, arms", [("needle-lift", 1), ("needle-handover", 2), ("tissue-retraction", 1)])
 def test_a_live_run_is_read(session: Callable[..., Any], task: str, arms: int) -> None:
     policy = ["--policy", "expert", "--foxglove", "127.0.0.1:0", "--no-log"]
     run = session("run", "--task", task, *policy, "--set", "scene.rendering.shading=plain")
@@ -34,6 +34,7 @@ def test_a_live_run_is_read(session: Callable[..., Any], task: str, arms: int) -
     for arm in range(1, arms + 1):
         assert f"/psm{arm}/measured_js" in said, said
     assert "foxglove.SceneUpdate" in said and "frames in one tree" in said, said
+    assert ("shapes that bend: " in said) == (task == "tissue-retraction"), said
 
 
 def test_a_log_is_read(session: Callable[..., Any], tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-//! A policy of one's own in the simulator: anything that answers an observation with a chunk.
+//! A policy of one's own in the simulator, in one episode and in an evaluation: anything that answers an observation with a chunk.
 //!
 //! ```sh
 //! cargo run --release --example own_policy
@@ -10,8 +10,10 @@
 use hal::count::{count_u32, index};
 use hal::{Chunk, Observation, Policy, PolicyError, TipTarget};
 use nalgebra::Translation3;
+use trocar::session::eval::{EvalOptions, evaluate_with};
 use trocar::session::run::{RunResult, run_lockstep_with};
 use trocar::session::source::{ChunkSource, STEP_NS};
+use trocar::session::summary::EvalSummary;
 use trocar::session::{Plan, PolicyChoice, SessionError};
 
 /// Radius of the circle, m, and policy steps of 40 ms for a round.
@@ -56,20 +58,47 @@ impl Policy for Circles {
     }
 }
 
-/// Runs an episode of needle lift in lockstep.
-///
-/// # Errors
-/// From the configuration or the simulation.
-pub fn run() -> Result<RunResult, SessionError> {
+/// Needle lift from seed 7 on, with a chunk 40 ms after its observation.
+fn plan() -> Result<Plan, SessionError> {
     let policy = PolicyChoice::Own("circles".to_owned());
-    let plan = Plan {
+    Ok(Plan {
         seed: 7,
         latency_ms: Some(40),
         warn: tell,
         ..Plan::load("needle-lift", policy)?
+    })
+}
+
+/// The policy, which looks through no camera.
+fn circles() -> ChunkSource {
+    ChunkSource::policy(Box::<Circles>::default(), Vec::new(), QUERY_EVERY_STEPS)
+}
+
+/// Runs an episode in lockstep.
+///
+/// # Errors
+/// From the configuration or the simulation.
+pub fn run() -> Result<RunResult, SessionError> {
+    run_lockstep_with(&plan()?, circles())
+}
+
+/// Runs `trials` episodes in lockstep, `jobs` at a time, each job with a policy of its own.
+///
+/// # Errors
+/// From the configuration or the simulation.
+pub fn evaluate(trials: usize, jobs: usize) -> Result<EvalSummary, SessionError> {
+    let options = EvalOptions {
+        trials,
+        jobs,
+        keep: None,
     };
-    let source = ChunkSource::policy(Box::<Circles>::default(), Vec::new(), QUERY_EVERY_STEPS);
-    run_lockstep_with(&plan, source)
+    evaluate_with(
+        &plan()?,
+        &options,
+        &|| Ok(circles()),
+        &|| false,
+        &mut |_| {},
+    )
 }
 
 #[expect(clippy::print_stderr, reason = "a warning is for the terminal")]
@@ -88,5 +117,7 @@ fn main() -> Result<(), SessionError> {
         summary.policy.queries,
         summary.policy.refused
     );
+    let evaluated = evaluate(4, 2)?;
+    println!("{} of {} trials", evaluated.successes, evaluated.trials);
     Ok(())
 }

@@ -1,8 +1,11 @@
-//! A robot of one's own with a policy of one's own, in real time: whatever can be measured and told where to be, once a millisecond.
+//! A robot of one's own in real time, with a policy of one's own or a trained one: whatever can be measured and told where to be, once a millisecond.
 //!
 //! ```sh
 //! cargo run --release -p trocar --example own_robot
+//! cargo run --release -p trocar --example own_robot -- config/policies/needle-lift/act-compact cameras
 //! ```
+//!
+//! The second is a committed policy, which looks through the endoscope on the topics `cameras`: `own_camera.rs` publishes one, of 512 pixels.
 //!
 //! This one follows its command with a lag of 5 ms; a real one would talk to its drives in `exchange`. What the policy wants passes the same
 //! filter, smoother and guard as anybody's, under the limits of `config/tasks/needle-lift/safety.toml`, and the run is in a log that
@@ -18,7 +21,7 @@ use hal::{
 use nalgebra::Translation3;
 use trocar::rt::{MonotonicClock, Periodic};
 use trocar::session::changes::Changes;
-use trocar::session::realtime::{RobotOptions, run_rig};
+use trocar::session::realtime::{RigCameras, RobotOptions, run_rig, run_rig_seeing};
 use trocar::session::run::RunResult;
 use trocar::session::source::{ChunkSource, STEP_NS};
 use trocar::session::{Plan, PolicyChoice, Robot, SessionError};
@@ -101,25 +104,49 @@ impl Policy for Aside {
     }
 }
 
-/// Runs it for 2 s, with a log at `log`; `safety` are the robot's limits.
+/// What a run is asked: to end after 2 s.
+const ASKED: RobotOptions = RobotOptions {
+    seconds: Some(2.0),
+    cameras: Vec::new(),
+};
+
+/// A run by `policy`, with a log at `log`; `safety` are the robot's limits.
+fn plan(safety: &Path, policy: PolicyChoice, log: PathBuf) -> Result<Plan<Robot>, SessionError> {
+    let robot = Robot::load(safety, None, &policy, &Changes::default())?;
+    Ok(Plan {
+        log: Some(log),
+        warn: tell,
+        ..Plan::new(robot, policy)
+    })
+}
+
+/// Runs it with a policy of one's own.
 ///
 /// # Errors
 /// From the configuration or the log.
 pub fn run(safety: &Path, log: PathBuf) -> Result<RunResult, SessionError> {
-    let policy = PolicyChoice::Own("aside".to_owned());
-    let robot = Robot::load(safety, None, &policy, &Changes::default())?;
-    let plan = Plan {
-        log: Some(log),
-        warn: tell,
-        ..Plan::new(robot, policy)
-    };
-    let asked = RobotOptions {
-        seconds: Some(2.0),
-        cameras: Vec::new(),
-    };
+    let plan = plan(safety, PolicyChoice::Own("aside".to_owned()), log)?;
     let source = ChunkSource::policy(Box::<Aside>::default(), Vec::new(), 5);
     let clock = MonotonicClock::new();
-    run_rig(&plan, (Lagging::new(clock), clock), source, &asked)
+    run_rig(&plan, (Lagging::new(clock), clock), source, &ASKED)
+}
+
+/// Runs it with the trained policy in `folder`, whose cameras are on `topics`.
+///
+/// # Errors
+/// From the configuration, the policy, the cameras or the log.
+pub fn run_trained(
+    safety: &Path,
+    folder: &Path,
+    topics: &str,
+    log: PathBuf,
+) -> Result<RunResult, SessionError> {
+    let plan = plan(safety, PolicyChoice::Checkpoint(folder.to_owned()), log)?;
+    let source = ChunkSource::network(plan.setup.network(folder, plan.compute)?);
+    let cameras = RigCameras::wait(topics, &source, &ASKED, &tell)?;
+    let clock = MonotonicClock::new();
+    let rig = (Lagging::new(clock), clock);
+    run_rig_seeing(&plan, rig, source, &ASKED, cameras)
 }
 
 #[expect(clippy::print_stderr, reason = "a warning is for the terminal")]
@@ -130,7 +157,13 @@ fn tell(line: &str) {
 #[expect(clippy::print_stdout, reason = "an example tells what it does")]
 fn main() -> Result<(), SessionError> {
     let safety = Path::new("config/tasks/needle-lift/safety.toml");
-    let summary = run(safety, "runs/own_robot.mcap".into())?.summary;
+    let log = "runs/own_robot.mcap".into();
+    let mut arguments = std::env::args().skip(1);
+    let result = match (arguments.next(), arguments.next()) {
+        (Some(policy), Some(topics)) => run_trained(safety, policy.as_ref(), &topics, log),
+        _ => run(safety, log),
+    };
+    let summary = result?.summary;
     println!(
         "{}: {} after {:.2} s, {} chunks, log in runs/own_robot.mcap",
         summary.policy.name, summary.reason, summary.seconds, summary.policy.queries

@@ -1,9 +1,9 @@
 //! The SHA-256 of texts and files.
 
-use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
+use hal::files;
 use sha2::{Digest, Sha256};
 
 pub(crate) fn hexadecimal(hash: Sha256) -> String {
@@ -21,9 +21,9 @@ pub fn hash_text(text: &str) -> String {
 /// SHA-256 of the file at `path`, hexadecimal.
 ///
 /// # Errors
-/// The system's.
+/// The system's, and for a device, a pipe or a socket.
 pub fn hash_file(path: &Path) -> io::Result<String> {
-    let mut file = File::open(path)?;
+    let mut file = files::open(path)?;
     let mut hash = Sha256::new();
     let mut buffer = vec![0_u8; 1 << 20];
     loop {

@@ -57,6 +57,8 @@ pub struct RunOutcome {
     pub command_hash: String,
     /// What a person said of it.
     pub said: RunNote,
+    /// What an operator's hands did, a JSON object as its text; none if they drove nothing.
+    pub teleop: Option<String>,
 }
 
 /// What a person says of a run that no task judges.
@@ -295,6 +297,7 @@ const INPUT_HASH: &str = "input_hash";
 const GOES_ON: &str = "goes_on";
 const MARK: &str = "mark";
 const LABEL: &str = "label";
+const TELEOP: &str = "teleop";
 const CONTENTS: &str = "contents_sha256";
 
 impl Closing {
@@ -322,6 +325,9 @@ impl Closing {
             }
             if !outcome.said.label.is_empty() {
                 map.insert(LABEL.to_owned(), outcome.said.label.clone());
+            }
+            if let Some(teleop) = &outcome.teleop {
+                map.insert(TELEOP.to_owned(), teleop.clone());
             }
         }
         map
@@ -361,6 +367,7 @@ impl Closing {
                     mark: map.get(MARK).and_then(|name| RunMark::named(name)),
                     label: map.get(LABEL).cloned().unwrap_or_default(),
                 },
+                teleop: map.get(TELEOP).cloned(),
             }),
         };
         let input_hash = u64::from_str_radix(map.get(INPUT_HASH)?, 16).ok()?;

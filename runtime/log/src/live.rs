@@ -9,8 +9,8 @@ use super::joints::JointMessages;
 use super::json::{TimingMessage, encoded};
 use super::level::Level;
 use super::messages::{
-    CompressedImage, FrameTransforms, JointState, JointStates, ModelPrimitive, SceneEntity,
-    SceneUpdate, Timestamp, Vector3,
+    Color, CompressedImage, FrameTransforms, JointState, JointStates, ModelPrimitive, Point3,
+    SceneEntity, SceneUpdate, Timestamp, TriangleListPrimitive, Vector3,
 };
 use super::record::TickRecord;
 use super::safety::SafetyMessage;
@@ -265,17 +265,62 @@ pub fn shapes<'a>(at: TimeNs, shapes: impl Iterator<Item = (&'a str, &'a [u8])>)
         z: 1.0,
     };
     let entities = shapes.map(|(frame, file)| SceneEntity {
-        timestamp: Some(Timestamp::new(at)),
-        frame_id: frame.to_owned(),
-        id: frame.to_owned(),
-        frame_locked: true,
         models: vec![ModelPrimitive {
             pose: Some((&Pose::identity()).into()),
             scale: Some(one),
             media_type: "model/gltf-binary".to_owned(),
             data: file.to_vec(),
         }],
+        ..entity(at, frame)
     });
     let entities = entities.collect();
     SceneUpdate { entities }.encode_to_vec()
+}
+
+/// A shape that bends, as it is at one instant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BentShape<'a> {
+    /// Its frame, which its vertices are in.
+    pub frame: &'a str,
+    /// Vertices, m.
+    pub positions: Vec<[f32; 3]>,
+    /// Three indices a triangle.
+    pub indices: &'a [u32],
+    /// sRGB, 0 to 1.
+    pub colour: [f32; 3],
+}
+
+/// Shapes that bend, as they are at `at`, each in place of the same shape of before.
+#[must_use]
+pub fn bent<'a>(at: TimeNs, shapes: impl Iterator<Item = BentShape<'a>>) -> Vec<u8> {
+    let entities = shapes.map(|shape| {
+        let points = shape.positions.iter().map(|position| {
+            let [x, y, z] = position.map(f64::from);
+            Point3 { x, y, z }
+        });
+        let [r, g, b] = shape.colour.map(f64::from);
+        let triangles = TriangleListPrimitive {
+            pose: Some((&Pose::identity()).into()),
+            points: points.collect(),
+            color: Some(Color { r, g, b, a: 1.0 }),
+            indices: shape.indices.to_vec(),
+        };
+        SceneEntity {
+            triangles: vec![triangles],
+            ..entity(at, shape.frame)
+        }
+    });
+    let entities = entities.collect();
+    SceneUpdate { entities }.encode_to_vec()
+}
+
+/// What moves with `frame`, and is called by its name; nothing yet.
+fn entity(at: TimeNs, frame: &str) -> SceneEntity {
+    SceneEntity {
+        timestamp: Some(Timestamp::new(at)),
+        frame_id: frame.to_owned(),
+        id: frame.to_owned(),
+        frame_locked: true,
+        ..SceneEntity::default()
+    }
 }

@@ -136,6 +136,43 @@ messages! {
         data: Vec<u8>,
     }
 
+    /// A point, m.
+    #[derive(Clone, Copy, PartialEq, Message)]
+    struct Point3 {
+        #[prost(double, tag = "1")]
+        x: f64,
+        #[prost(double, tag = "2")]
+        y: f64,
+        #[prost(double, tag = "3")]
+        z: f64,
+    }
+
+    /// A colour, sRGB, and how much it hides.
+    #[derive(Clone, Copy, PartialEq, Message)]
+    struct Color {
+        #[prost(double, tag = "1")]
+        r: f64,
+        #[prost(double, tag = "2")]
+        g: f64,
+        #[prost(double, tag = "3")]
+        b: f64,
+        #[prost(double, tag = "4")]
+        a: f64,
+    }
+
+    /// A shape as triangles, three indices each.
+    #[derive(Clone, PartialEq, Message)]
+    struct TriangleListPrimitive {
+        #[prost(message, optional, tag = "1")]
+        pose: Option<Pose>,
+        #[prost(message, repeated, tag = "2")]
+        points: Vec<Point3>,
+        #[prost(message, optional, tag = "3")]
+        color: Option<Color>,
+        #[prost(fixed32, repeated, tag = "5")]
+        indices: Vec<u32>,
+    }
+
     /// What is in a frame.
     #[derive(Clone, PartialEq, Message)]
     struct SceneEntity {
@@ -147,6 +184,8 @@ messages! {
         id: String,
         #[prost(bool, tag = "5")]
         frame_locked: bool,
+        #[prost(message, repeated, tag = "12")]
+        triangles: Vec<TriangleListPrimitive>,
         #[prost(message, repeated, tag = "14")]
         models: Vec<ModelPrimitive>,
     }

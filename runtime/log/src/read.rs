@@ -1,11 +1,11 @@
 //! Reads a run's log back: every tick with the chunks that it was given, bit for bit, step by step or as a whole.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, BufReader, Read};
+use std::fs::File;
+use std::io::{BufReader, Read};
 use std::path::Path;
 
-use hal::{ARMS_MAX, Chunk, PerArm};
+use hal::{ARMS_MAX, Chunk, PerArm, files};
 
 use super::assembly::{Assembly, Event, Facts};
 use super::error::LogError;
@@ -98,12 +98,7 @@ fn open(path: &Path) -> Result<File, LogError> {
         path: path.to_owned(),
         source,
     };
-    let found = fs::metadata(path).map_err(unreadable)?;
-    if !found.is_file() && !found.is_dir() {
-        let reason = "it is a device, a pipe or a socket, not a file";
-        return Err(unreadable(io::Error::other(reason)));
-    }
-    File::open(path).map_err(unreadable)
+    files::open(path).map_err(unreadable)
 }
 
 impl RunLog {

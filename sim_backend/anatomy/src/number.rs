@@ -13,6 +13,13 @@ pub(crate) const fn index(count: usize) -> u32 {
     count as u32
 }
 
+/// A count in 16 bits with a sign, as headers of volumes keep it.
+#[expect(clippy::cast_possible_truncation, reason = "asserted to fit")]
+pub(crate) const fn count_i16(count: usize) -> i16 {
+    assert!(count < 1 << 15, "a count beyond 15 bits");
+    count as i16
+}
+
 /// The whole number at or below `value`, cut to `0..=most`.
 #[expect(
     clippy::cast_possible_truncation,
@@ -51,7 +58,13 @@ pub(crate) fn label(value: f64) -> Option<u16> {
 
 #[cfg(test)]
 mod tests {
-    use super::{floor_to, label};
+    use super::{count_i16, floor_to, label};
+
+    #[test]
+    #[should_panic(expected = "beyond 15 bits")]
+    fn a_count_beyond_15_bits_is_a_defect() {
+        let _ = count_i16(1 << 15);
+    }
 
     #[test]
     fn only_whole_numbers_of_16_bits_are_labels() {

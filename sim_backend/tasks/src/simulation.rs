@@ -266,7 +266,7 @@ impl Simulation {
 }
 
 impl SimulatedArm<'_> {
-    /// Takes setpoints of drives that are led one by one, each with its own torque, instead of a command for the arm. They
+    /// Takes set-points of drives that are commanded one by one, each with its own torque, instead of a command for the arm. They
     /// hold until the next ones: such drives stop by themselves, so there is no tail.
     pub fn lead(&mut self, setpoint: &DriveSetpoint) {
         self.simulation.world.lead(self.index, setpoint);

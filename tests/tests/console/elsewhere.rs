@@ -6,6 +6,7 @@ use std::process::{Child, Stdio};
 
 use serde_json::{Value, json};
 use tests::{repository, scratch, trocar};
+use trocar_log::RunLog;
 
 use crate::browser::{SCENE as SCENE_SEEN, looks_right};
 use crate::devtools::Browser;
@@ -381,7 +382,12 @@ fn ends(mut served: Served, mut page: Page, log: &Path) -> Value {
     verified(log);
     let replay = trocar().arg("replay").arg(log).output().unwrap();
     assert!(replay.status.success(), "{}", tests::stderr(&replay));
-    tests::json(&served.folder.join("result.json"))["teleop"].clone()
+    let teleop = tests::json(&served.folder.join("result.json"))["teleop"].clone();
+    let kept = RunLog::open(log).unwrap().outcome.unwrap().teleop.unwrap();
+    let kept: Value = serde_json::from_str(&kept).unwrap();
+    assert_eq!(kept, teleop, "the log says the same");
+    assert_eq!(teleop["device"], "page");
+    teleop
 }
 
 /// Hands move the arm of a task in another process as they do one of the run's own, in the axes of its picture.

@@ -42,8 +42,28 @@ struct Update {
 struct Entity {
     #[prost(string, tag = "2")]
     frame: String,
+    #[prost(message, repeated, tag = "12")]
+    triangles: Vec<Triangles>,
     #[prost(message, repeated, tag = "14")]
     models: Vec<Model>,
+}
+
+#[derive(Clone, PartialEq, prost::Message)]
+struct Triangles {
+    #[prost(message, repeated, tag = "2")]
+    points: Vec<Point>,
+    #[prost(fixed32, repeated, tag = "5")]
+    indices: Vec<u32>,
+}
+
+#[derive(Clone, PartialEq, prost::Message)]
+struct Point {
+    #[prost(double, tag = "1")]
+    x: f64,
+    #[prost(double, tag = "2")]
+    y: f64,
+    #[prost(double, tag = "3")]
+    z: f64,
 }
 
 #[derive(Clone, PartialEq, prost::Message)]
@@ -76,11 +96,12 @@ struct Shown {
 }
 
 impl Shown {
-    fn start(test: &str) -> Self {
+    fn start(test: &str, task: &str, policy: &str) -> Self {
         let sockets = scratch(test);
         let mut command: Command = trocar();
-        let words = "run --task needle-lift --policy random --seed 7 --foxglove 127.0.0.1:0 --set scene.episode.time_limit_s=300";
+        let words = "--seed 7 --foxglove 127.0.0.1:0 --set scene.episode.time_limit_s=300";
         command
+            .args(["run", "--task", task, "--policy", policy])
             .env("XDG_RUNTIME_DIR", sockets)
             .env("TROCAR_SLOW_MOTION", SLOW_MOTION.to_string())
             .args(words.split(' '))
@@ -242,7 +263,7 @@ fn form_one_tree(messages: &[Vec<u8>]) -> BTreeSet<String> {
 #[test]
 fn foxglove_is_told_what_a_run_does() {
     let _turn = tests::alone();
-    let shown = Shown::start("foxglove");
+    let shown = Shown::start("foxglove", "needle-lift", "random");
     let bare = shown.url.split("?token=").next().unwrap();
     assert_eq!(Shown::open(bare, None).err(), Some(401));
     assert_eq!(
@@ -291,6 +312,47 @@ fn foxglove_is_told_what_a_run_does() {
     let lines = lines(&heard);
     let enabled = |line: &&String| *line == ENABLED;
     assert_eq!(lines.iter().filter(enabled).count(), 1, "{lines:?}");
+}
+
+/// The flap is triangles in its frame, which come again as it bends.
+#[test]
+fn foxglove_sees_the_flap_bend() {
+    let _turn = tests::alone();
+    let shown = Shown::start("foxglove-flap", "tissue-retraction", "expert");
+    let mut socket = Shown::open(&shown.url, None).unwrap();
+    let topics = subscribe(&mut socket);
+    let (mut frames, mut flap): (Vec<Vec<u8>>, Vec<Entity>) = (Vec::new(), Vec::new());
+    let bends = |flap: &[Entity]| {
+        let (first, last) = (flap.first(), flap.last());
+        let both = first.zip(last).map(|(first, last)| {
+            let [one, other] = [first, last].map(|entity| &entity.triangles[0].points);
+            let apart = one.iter().zip(other);
+            apart.map(|(a, b)| (a.x - b.x).abs() + (a.y - b.y).abs() + (a.z - b.z).abs())
+        });
+        both.is_some_and(|mut apart| apart.any(|way| way > 0.005))
+    };
+    while !bends(&flap) {
+        match told(&mut socket, &topics) {
+            ViewerEvent::Message(topic, _, message) if topic == "/tf" => frames.push(message),
+            ViewerEvent::Message(topic, _, message) if topic == "/scene" => {
+                let mut update = Update::decode(&message[..]).unwrap();
+                update
+                    .entities
+                    .retain(|entity| !entity.triangles.is_empty());
+                flap.extend(update.entities.into_iter().next());
+            }
+            ViewerEvent::Message(..) | ViewerEvent::Time(_) => {}
+        }
+    }
+    let frames = form_one_tree(&frames);
+    for entity in &flap {
+        assert_eq!(entity.frame, flap[0].frame);
+        assert!(frames.contains(&entity.frame) && entity.models.is_empty());
+        let Triangles { points, indices } = &entity.triangles[0];
+        assert!(points.len() > 10 && indices.len() % 3 == 0);
+        let most = indices.iter().max().unwrap();
+        assert!(usize::try_from(*most).unwrap() < points.len());
+    }
 }
 
 /// A log is played in its own time, all its topics, until a page looks at a place: from then on it is told of that place.

@@ -183,6 +183,31 @@ impl Drop for StandingDisk {
 /// Longer than the log's queue holds ticks, ns.
 const STANDS_NS: u64 = 8_000 * MS_NS;
 
+/// A replay of the log at `path` is identical up to the first record that the logger dropped, ends there, and says where and what.
+fn ends_at_the_gap(path: &Path, log: &RunLog) {
+    let mut steps = log.steps().enumerate();
+    let gap = steps.find(|(_, step)| step.dropped_before > 0 || step.chunk_dropped);
+    let (whole, step) = gap.unwrap();
+    let (tick, count) = (step.tick.tick, step.dropped_before);
+    let replayed = replay(log).unwrap();
+    let found = replayed.first_difference.unwrap();
+    assert!(!replayed.identical && found.is_gap(), "{found}");
+    assert_eq!((replayed.ticks, found.tick), (whole as u64, tick));
+    let output = trocar().arg("replay").arg(path).output().unwrap();
+    let told = String::from_utf8(output.stdout).unwrap();
+    let lost = match count {
+        0 => "the chunk".to_owned(),
+        count => format!("{count} ticks"),
+    };
+    let expected = format!(
+        "ends at a gap: tick {tick}: {lost} dropped by the logger; {whole} ticks before it are identical"
+    );
+    assert_eq!(
+        (told.trim_end(), output.status.code()),
+        (expected.as_str(), Some(1))
+    );
+}
+
 /// The disk of the log stands still for longer than the queue reaches: the loop does not wait, and the log says what it lacks.
 #[test]
 fn a_standing_disk_costs_records_and_not_the_loop() {
@@ -217,12 +242,13 @@ fn a_standing_disk_costs_records_and_not_the_loop() {
         found.iter().all(|limit| *limit == "missing_ticks"),
         "{found:?}"
     );
+    ends_at_the_gap(&run.log, &log);
     row(
         "disk-stands",
         "the log's disk stands still for 8 s (`fsfreeze`)",
         &format!("{dropped} log records dropped, `missing_ticks`"),
         &Taken::drops(&log, injected),
-        "the log goes on too, with a gap that `verify` names",
+        "the log goes on too, with a gap that `verify` and `replay` name; `replay` ends there",
     );
 }
 

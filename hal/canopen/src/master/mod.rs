@@ -51,7 +51,7 @@
 //! be up to three cycles older than it is reported to be. Once a fault is latched every SYNC is sent.
 //!
 //! What goes before a quick stop. A bus has one queue, the kernel's and then the controller's, in which nothing overtakes and
-//! from which nothing is called back. Set-points, SYNCs and heartbeats are all that is in it when a drive is led: transfers of
+//! from which nothing is called back. Set-points, SYNCs and heartbeats are all that is in it when a drive is commanded: transfers of
 //! objects end with bring-up, each answered or given up, and NMT stops come only after a fault, behind a SYNC. What finds no room
 //! is forgotten; the next cycle's frames are made anew, from what is known then. So what goes before a quick stop is what the
 //! queue already held: no more frames than it has places, which are better few (a cycle has up to 16, with NMT stops). Of a

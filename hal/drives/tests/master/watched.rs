@@ -104,8 +104,8 @@ impl Bus for Disturbed {
     }
 }
 
-/// How far bring-up comes, and with how many frames of ours after each step.
-pub(super) struct Course {
+/// How bring-up ended, and how many frames of ours were sent after each of its steps.
+pub(super) struct Outcome {
     pub(super) sent: [usize; 4],
     pub(super) end: Result<(), String>,
     pub(super) torques: bool,
@@ -116,16 +116,16 @@ pub(super) struct Course {
 }
 
 /// Bring-up with `what` after our frame number `at`. The drives are looked at half a second later.
-pub(super) fn course(lines: u8, at: usize, what: impl Fn(&mut Net) + 'static) -> Course {
-    course_of(lines, drive, at, what)
+pub(super) fn bring_up(lines: u8, at: usize, what: impl Fn(&mut Net) + 'static) -> Outcome {
+    bring_up_of(lines, drive, at, what)
 }
 
-fn course_of(
+fn bring_up_of(
     lines: u8,
     drive: fn(usize) -> Node,
     at: usize,
     what: impl Fn(&mut Net) + 'static,
-) -> Course {
+) -> Outcome {
     let plan = plan(lines, 2 * MS);
     let net = Rc::new(RefCell::new(network_of(&plan, drive)));
     let sent = Rc::new(RefCell::new(0));
@@ -156,7 +156,7 @@ fn course_of(
     let later = net.now().plus_ns(500 * MS);
     net.advance(later);
     let has_torque = |axis| net.node(node(axis)).unwrap().power_state().has_torque();
-    Course {
+    Outcome {
         sent: after,
         end,
         torques: (0..TAIL_AXES).any(has_torque),
@@ -174,30 +174,30 @@ pub(super) const NEVER: usize = usize::MAX;
 /// Another master ends the bring up in whatever step it is heard.
 #[test]
 fn second_master_ends_every_step_of_bring_up() {
-    let [scanned, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let [scanned, identified, mapped, homed] = bring_up(1, NEVER, |_| {}).sent;
     let (ours, _) = said();
     // A few frames into each step.
     for at in [3, scanned + 9, identified + 40, mapped + 20] {
         // A write of his that a drive refuses, so nothing else ends it.
         for heard in [ours[7], ours[1]] {
-            let course = course(1, at, move |net| assert!(net.intrude(0, heard)));
-            assert_eq!(course.end, Err(refusal(&heard)), "{at}");
-            assert!(!course.torques && course.stopped);
+            let outcome = bring_up(1, at, move |net| assert!(net.intrude(0, heard)));
+            assert_eq!(outcome.end, Err(refusal(&heard)), "{at}");
+            assert!(!outcome.torques && outcome.stopped);
             let steps = [scanned, identified, mapped, homed];
-            let done = course.sent.iter().filter(|sent| **sent > 0).count();
+            let done = outcome.sent.iter().filter(|sent| **sent > 0).count();
             assert_eq!(done, steps.iter().filter(|end| **end <= at).count(), "{at}");
         }
     }
     // One that resets a node is the cause, not that it then is not as it was set.
     let reset = frame(0x000, &[0x81, 3]);
-    let course = course(1, mapped + 20, move |net| assert!(net.intrude(0, reset)));
-    assert_eq!(course.end, Err(refusal(&reset)));
+    let outcome = bring_up(1, mapped + 20, move |net| assert!(net.intrude(0, reset)));
+    assert_eq!(outcome.end, Err(refusal(&reset)));
 }
 
 /// Once another master was heard no drive is given torque or changed.
 #[test]
 fn no_drive_gets_torque_after_a_second_master() {
-    let [_, identified, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let [_, identified, mapped, homed] = bring_up(1, NEVER, |_| {}).sent;
     let harms = |frame: &Frame| match frame.id.raw() {
         0x201..=0x207 => frame.data()[0] & 0b10 != 0,
         0x601..=0x607 => frame.data()[0] != 0x40,
@@ -207,11 +207,11 @@ fn no_drive_gets_torque_after_a_second_master() {
     let stranger = said().0[1];
     let mut heard_ours = 0;
     for at in (identified..homed).step_by(7) {
-        let course = course(1, at, move |net| assert!(net.intrude(0, stranger)));
-        assert_eq!(course.end, Err(refusal(&stranger)), "{at} of {mapped}");
-        let harmful: Vec<_> = course.after.iter().filter(|frame| harms(frame)).collect();
-        assert!(harmful.is_empty() && course.stopped, "{at}: {harmful:?}");
-        heard_ours += course.after.len();
+        let outcome = bring_up(1, at, move |net| assert!(net.intrude(0, stranger)));
+        assert_eq!(outcome.end, Err(refusal(&stranger)), "{at} of {mapped}");
+        let harmful: Vec<_> = outcome.after.iter().filter(|frame| harms(frame)).collect();
+        assert!(harmful.is_empty() && outcome.stopped, "{at}: {harmful:?}");
+        heard_ours += outcome.after.len();
     }
     assert!(heard_ours > 0);
 }
@@ -219,23 +219,23 @@ fn no_drive_gets_torque_after_a_second_master() {
 /// A drive that has its reference when another master is heard loses its torque at once.
 #[test]
 fn second_master_during_homing_takes_the_torque() {
-    let [_, _, mapped, homed] = course(1, NEVER, |_| {}).sent;
+    let [_, _, mapped, homed] = bring_up(1, NEVER, |_| {}).sent;
     let his = frame(0x203, &[0x0F, 0, 0, 0, 0, 0]);
     for at in (mapped..homed).step_by(5) {
         let seen = Rc::new(RefCell::new(0_u32));
         let counted = Rc::clone(&seen);
-        let course = course(1, at, move |net| {
+        let outcome = bring_up(1, at, move |net| {
             assert!(net.intrude(0, his));
             let counted = Rc::clone(&counted);
             net.tamper(Box::new(move |_, _, heard| {
                 // Set-points and SYNCs of ours that nodes still hear.
-                let led = matches!(heard.id.raw(), 0x201..=0x207 | 0x080) && *heard != his;
-                *counted.borrow_mut() += u32::from(led);
+                let cyclic = matches!(heard.id.raw(), 0x201..=0x207 | 0x080) && *heard != his;
+                *counted.borrow_mut() += u32::from(cyclic);
                 Tampering::Pass
             }));
         });
-        assert_eq!(course.end, Err(refusal(&his)));
-        assert!(course.stopped && !course.torques);
+        assert_eq!(outcome.end, Err(refusal(&his)));
+        assert!(outcome.stopped && !outcome.torques);
         // Those that were queued when it spoke, of which a queue holds 16.
         assert!(*seen.borrow() <= 16, "{at}: {}", seen.borrow());
     }
@@ -261,11 +261,11 @@ fn a_master_that_was_there_before_us_is_not_disturbed() {
 /// What anybody may say and another arm's master does not end it.
 #[test]
 fn other_traffic_does_not_end_the_bring_up() {
-    let undisturbed = course(1, NEVER, |_| {});
+    let undisturbed = bring_up(1, NEVER, |_| {});
     assert_eq!(undisturbed.end, Ok(()));
     let [scanned, .., homed] = undisturbed.sent;
     for at in [scanned + 9, homed + QUESTIONS + 6] {
-        let course = course(1, at, |net| {
+        let outcome = bring_up(1, at, |net| {
             for heard in said().1 {
                 // An answer to a question of his would be taken for one of ours.
                 if heard.id.raw() != 0x603 {
@@ -273,7 +273,7 @@ fn other_traffic_does_not_end_the_bring_up() {
                 }
             }
         });
-        assert_eq!(course.end, Ok(()), "{at}");
+        assert_eq!(outcome.end, Ok(()), "{at}");
     }
 }
 
@@ -315,21 +315,21 @@ fn trouble_before_the_first_sync_is_a_fault() {
             "node 3 (axis 2, bus 0): was reset while in use",
         ),
     ];
-    let undisturbed = course(3, NEVER, |_| {});
+    let undisturbed = bring_up(3, NEVER, |_| {});
     assert_eq!(undisturbed.end, Ok(()));
     // The seventh of them is told to start.
     let last = undisturbed.sent[3] + QUESTIONS + 6;
     for (what, fault) in cases {
-        let course = course(3, last, what);
-        assert_eq!(course.end, Err(fault.to_owned()));
-        assert!(!course.torques, "{fault}");
+        let outcome = bring_up(3, last, what);
+        assert_eq!(outcome.end, Err(fault.to_owned()));
+        assert!(!outcome.torques, "{fault}");
     }
 }
 
 /// A controller event on a bus that is not listened to ends the bring up before the nodes start.
 #[test]
 fn trouble_on_any_bus_ends_the_bring_up() {
-    let undisturbed = course(3, NEVER, |_| {});
+    let undisturbed = bring_up(3, NEVER, |_| {});
     let homed = undisturbed.sent[3];
     // The last axis is homed on bus 2; nothing is asked on bus 0 any more.
     for trouble in [
@@ -337,16 +337,16 @@ fn trouble_on_any_bus_ends_the_bring_up() {
         ControllerEvent::Restarted,
         ControllerEvent::Down,
     ] {
-        let asked = course(3, homed + QUESTIONS - 2, move |net| net.trouble(0, trouble));
+        let asked = bring_up(3, homed + QUESTIONS - 2, move |net| net.trouble(0, trouble));
         assert_eq!(asked.end, Err("bus 0: bus-off or down".to_owned()));
         assert!(asked.sent[3] == homed && !asked.torques);
-        let course = course(3, homed - 1, move |net| net.trouble(0, trouble));
-        assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
-        assert!(course.sent[3] == 0 && !course.torques, "{trouble:?}");
+        let outcome = bring_up(3, homed - 1, move |net| net.trouble(0, trouble));
+        assert_eq!(outcome.end, Err("bus 0: bus-off or down".to_owned()));
+        assert!(outcome.sent[3] == 0 && !outcome.torques, "{trouble:?}");
     }
     // Even that it is back, once bring-up has begun.
-    let course = course(3, 0, |net| net.trouble(0, ControllerEvent::Restarted));
-    assert_eq!(course.end, Err("bus 0: bus-off or down".to_owned()));
+    let outcome = bring_up(3, 0, |net| net.trouble(0, ControllerEvent::Restarted));
+    assert_eq!(outcome.end, Err("bus 0: bus-off or down".to_owned()));
 }
 
 #[test]
@@ -359,7 +359,7 @@ fn a_drive_that_does_not_let_go_after_its_reference_is_stopped() {
         };
         Node::new(node(axis), &config)
     };
-    let course = course_of(1, stubborn, 0, |net| {
+    let outcome = bring_up_of(1, stubborn, 0, |net| {
         net.tamper(Box::new(|_, _, heard| match heard.data() {
             // Let go, it is told, and hears that it is to stay enabled.
             [0x00, rest @ ..] if heard.id.raw() == 0x203 => {
@@ -370,6 +370,6 @@ fn a_drive_that_does_not_let_go_after_its_reference_is_stopped() {
         }));
     });
     let refusal = "node 3 (axis 2, bus 0): homing failed, status word ";
-    assert!(course.end.unwrap_err().starts_with(refusal));
-    assert!(!course.torques);
+    assert!(outcome.end.unwrap_err().starts_with(refusal));
+    assert!(!outcome.torques);
 }

@@ -9,11 +9,11 @@
 
 use std::{
     collections::BTreeMap,
-    fs::File,
     io::{BufRead, BufReader, Read},
     path::Path,
 };
 
+use hal::files;
 use serde::{Deserialize, de::DeserializeOwned};
 
 use super::{
@@ -111,7 +111,7 @@ struct TaskLine {
 
 /// A JSON value a line, empty lines left out.
 pub(super) fn read_lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, DatasetError> {
-    let mut reader = BufReader::new(File::open(path).map_err(io_error(path))?);
+    let mut reader = BufReader::new(files::open(path).map_err(io_error(path))?);
     let mut values = Vec::new();
     let mut line = Vec::new();
     loop {

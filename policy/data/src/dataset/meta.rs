@@ -12,6 +12,7 @@ use arrow_array::{
     builder::{ListBuilder, StringBuilder},
 };
 use arrow_schema::Schema;
+use hal::files;
 use parquet::{errors::ParquetError, file::properties::WriterProperties};
 
 use super::{
@@ -92,7 +93,8 @@ pub(super) fn info(
 
 pub(super) fn read_info(dir: &Path) -> Result<Info, DatasetError> {
     let path = info_path(dir);
-    let text = fs::read_to_string(&path).map_err(io_error(&path))?;
+    let text = files::read_text(&path, "info.json", files::JSON_SIZE_MAX);
+    let text = text.map_err(io_error(&path))?;
     let json_error = |source| DatasetError::Json {
         path: path.clone(),
         source,

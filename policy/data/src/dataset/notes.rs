@@ -13,6 +13,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use hal::files;
 use serde_json::Value;
 
 use super::{
@@ -92,7 +93,7 @@ impl Notes {
 
 fn read_options(dir: &Path) -> Result<Option<Value>, DatasetError> {
     let path = options_path(dir);
-    let text = match fs::read(&path) {
+    let text = match files::read(&path, "its JSON", files::JSON_SIZE_MAX) {
         Ok(text) => text,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(io_error(&path)(error)),

@@ -10,6 +10,7 @@ use arrow_array::{
     Array, ArrayRef, BinaryArray, BooleanArray, FixedSizeListArray, Float32Array, Float64Array,
     Int64Array, ListArray, RecordBatch, StringArray, StructArray,
 };
+use hal::files;
 use parquet::{
     arrow::{
         ProjectionMask,
@@ -37,7 +38,7 @@ pub(super) struct Table {
 
 impl Table {
     pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
-        let file = File::open(path).map_err(io_error(path))?;
+        let file = files::open(path).map_err(io_error(path))?;
         let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional);
         let metadata = reading(path, || {
             ArrowReaderMetadata::load(&file, options).map_err(parquet_error(path))
@@ -196,8 +197,8 @@ impl Table {
                 return odd(other);
             }
             let offsets = lists.offsets();
-            let first = offsets.iter().next().copied().unwrap_or(0);
-            let first = usize::try_from(first).unwrap_or(0);
+            #[expect(clippy::expect_used, reason = "arrow asserts it of offsets")]
+            let first = usize::try_from(offsets[0]).expect("offsets are not negative");
             Ok(lists.values().slice(first, width * lists.len()))
         } else {
             let lists = self.cast::<FixedSizeListArray>(column, name, "a list")?;
@@ -288,7 +289,7 @@ impl Table {
     // A file opened anew has a position of its own, so several threads may read one table.
     fn builder(&self, name: &str) -> Result<ParquetRecordBatchReaderBuilder<File>, DatasetError> {
         let roots = ProjectionMask::roots(self.metadata.parquet_schema(), [self.root(name)?]);
-        let file = File::open(&self.path).map_err(io_error(&self.path))?;
+        let file = files::open(&self.path).map_err(io_error(&self.path))?;
         Ok(
             ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone())
                 .with_projection(roots),

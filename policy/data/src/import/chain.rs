@@ -1,10 +1,9 @@
 //! Where the tip is: the product of an arm's Denavit-Hartenberg rows, whichever arm it is.
 
-use std::fs;
 use std::path::Path;
 
 use hal::psm::{DhRow, TIP_FROM_WRIST_YAW};
-use hal::{JOINT_COUNT, Pose};
+use hal::{JOINT_COUNT, Pose, files};
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::ImportError;
@@ -20,7 +19,8 @@ pub fn read_chain(path: &Path) -> Result<[DhRow; JOINT_COUNT], ImportError> {
         path: path.to_owned(),
         reason,
     };
-    let text = fs::read(path).map_err(|source| ImportError::Io {
+    let text = files::read(path, "a chain", files::JSON_SIZE_MAX);
+    let text = text.map_err(|source| ImportError::Io {
         path: path.to_owned(),
         source,
     })?;

@@ -1,5 +1,7 @@
 //! Thinning: of the points in one cube of a grid, the first stays.
 
+use hal::count::count_u32;
+
 use super::Point;
 use super::error::PerceptionError;
 
@@ -31,7 +33,7 @@ pub fn thin(points: &[Point], side_m: f32) -> Result<Vec<Point>, PerceptionError
         }
         last = Some(cube);
         if let Some(place) = free_place(&table, &cubes, cube) {
-            table[place] = u32::try_from(cubes.len()).unwrap_or(FREE);
+            table[place] = count_u32(cubes.len());
             cubes.push(cube);
             kept.push(*point);
         }

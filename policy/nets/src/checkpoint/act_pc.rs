@@ -12,7 +12,7 @@ use super::clouds::{
 use super::error::{Cause, CheckpointError};
 use super::recipe::Recipe;
 use super::tensors::Precision;
-use super::{CONFIG, RECIPE, WEIGHTS, check_joints, load_recipe, processors};
+use super::{CONFIG, RECIPE, WEIGHTS, check_joints, load_recipe, processors, read_json};
 use crate::act::VAE_PREFIX;
 use crate::act_pc::{ActPc, ActPcConfig};
 use crate::dimension::dimension;
@@ -76,7 +76,7 @@ pub fn load_act_pc(folder: &Path, device: Device) -> Result<ActPcCheckpoint, Che
     let recipe_file = folder.join(RECIPE);
     let recipe = load_recipe(folder)?.ok_or_else(|| Cause::NoRecipe.in_file(&recipe_file))?;
     let file = folder.join(CONFIG);
-    let text = std::fs::read_to_string(&file).map_err(|error| Cause::io(error).in_file(&file))?;
+    let text = read_json(&file)?;
     let config: ActPcFile =
         serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
     check(&config, &recipe).map_err(|cause| cause.in_file(&file))?;

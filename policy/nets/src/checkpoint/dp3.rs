@@ -13,7 +13,7 @@ use super::clouds::{
 use super::error::{Cause, CheckpointError};
 use super::recipe::Recipe;
 use super::tensors::Precision;
-use super::{CONFIG, RECIPE, load_recipe, processors};
+use super::{CONFIG, RECIPE, load_recipe, processors, read_json};
 use crate::dimension::{dimension, length};
 use crate::dp3::{Dp3, Dp3Config, LimitsNormaliser};
 use crate::parameters::ParameterSource;
@@ -116,7 +116,7 @@ pub(crate) fn history_steps(folder: &Path, recipe: &Recipe) -> Result<u64, Check
 
 fn read_config(folder: &Path, recipe: &Recipe) -> Result<Dp3File, CheckpointError> {
     let file = folder.join(CONFIG);
-    let text = std::fs::read_to_string(&file).map_err(|error| Cause::io(error).in_file(&file))?;
+    let text = read_json(&file)?;
     let config: Dp3File =
         serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
     check(&config, recipe).map_err(|cause| cause.in_file(&file))?;

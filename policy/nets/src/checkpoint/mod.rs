@@ -24,7 +24,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use hal::ARM_NAMES;
+use hal::{ARM_NAMES, files};
 use tch::Device;
 
 pub use act_pc::{ACT_PC_TYPE, ActPcCheckpoint, load_act_pc, save_act_pc};
@@ -121,8 +121,7 @@ pub struct Checkpoint {
 pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError> {
     let recipe = load_recipe(folder)?;
     let config_path = folder.join(CONFIG);
-    let text = std::fs::read_to_string(&config_path)
-        .map_err(|error| Cause::io(error).in_file(&config_path))?;
+    let text = read_json(&config_path)?;
     let cameras: Option<Vec<String>> = recipe.as_ref().map(|recipe| {
         recipe
             .cameras
@@ -211,16 +210,28 @@ fn check_query(recipe: &Recipe, steps: i64) -> Result<(), Cause> {
     )))
 }
 
+/// The text of `file`, one of a checkpoint's in JSON.
+fn read_json(file: &Path) -> Result<String, CheckpointError> {
+    let text = files::read_text(file, "a checkpoint's JSON", files::JSON_SIZE_MAX);
+    text.map_err(|error| Cause::io(error).in_file(file))
+}
+
+/// What was read; none if the file is not there.
+fn there(read: Result<String, CheckpointError>) -> Result<Option<String>, CheckpointError> {
+    match read {
+        Err(error) if matches!(error.cause, Cause::Missing) => Ok(None),
+        read => read.map(Some),
+    }
+}
+
 /// The kind of the policy in `folder`, by its `config.json`; none if the file is not there or does not say it.
 ///
 /// # Errors
 /// [`CheckpointError`] if the file cannot be read or is no JSON.
 pub fn policy_type(folder: &Path) -> Result<Option<String>, CheckpointError> {
     let file = folder.join(CONFIG);
-    let text = match std::fs::read_to_string(&file) {
-        Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(Cause::io(error).in_file(&file)),
+    let Some(text) = there(read_json(&file))? else {
+        return Ok(None);
     };
     let config: serde_json::Value =
         serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
@@ -245,10 +256,8 @@ fn check_relative(recipe: &Recipe) -> Result<(), Cause> {
 /// [`CheckpointError`] naming what is wrong with the file.
 pub fn load_recipe(folder: &Path) -> Result<Option<Recipe>, CheckpointError> {
     let file = folder.join(RECIPE);
-    let text = match std::fs::read_to_string(&file) {
-        Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(Cause::io(error).in_file(&file)),
+    let Some(text) = there(read_json(&file))? else {
+        return Ok(None);
     };
     let recipe: Recipe =
         serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;

@@ -129,7 +129,7 @@ fn state_of(
     config: &ActConfig,
 ) -> Result<StateFile, CheckpointError> {
     let file = folder.join(name);
-    let text = std::fs::read_to_string(&file).map_err(|error| Cause::io(error).in_file(&file))?;
+    let text = super::read_json(&file)?;
     let document: Value =
         serde_json::from_str(&text).map_err(|error| Cause::Json(error).in_file(&file))?;
     let steps = document["steps"].as_array();

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
+use hal::files;
 use half::{bf16, f16};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
@@ -30,6 +31,14 @@ pub(crate) struct Plain {
     pub(super) values: Vec<f32>,
 }
 
+/// Most bytes of a safetensors file, which is read whole.
+const SIZE_MAX: u64 = 4 << 30;
+
+fn read_bytes(file: &Path) -> Result<Vec<u8>, CheckpointError> {
+    let bytes = files::read(file, "a safetensors file", SIZE_MAX);
+    bytes.map_err(|error| Cause::io(error).in_file(file))
+}
+
 /// All tensors of `file`.
 pub(crate) fn read(file: &Path) -> Result<BTreeMap<String, Plain>, CheckpointError> {
     read_some(file, |_| true)
@@ -40,7 +49,7 @@ pub(super) fn read_some(
     file: &Path,
     wanted: impl Fn(&str) -> bool,
 ) -> Result<BTreeMap<String, Plain>, CheckpointError> {
-    let bytes = fs::read(file).map_err(|error| Cause::io(error).in_file(file))?;
+    let bytes = read_bytes(file)?;
     let container = SafeTensors::deserialize(&bytes)
         .map_err(|error| Cause::Safetensors(error).in_file(file))?;
     let mut tensors = BTreeMap::new();
@@ -68,7 +77,7 @@ fn plain_of(key: &str, view: &TensorView<'_>) -> Result<Plain, Cause> {
 
 /// The text in the description of `file` under `key`.
 pub(crate) fn read_about(file: &Path, key: &str) -> Result<Option<String>, CheckpointError> {
-    let bytes = fs::read(file).map_err(|error| Cause::io(error).in_file(file))?;
+    let bytes = read_bytes(file)?;
     let (_, about) = SafeTensors::read_metadata(&bytes)
         .map_err(|error| Cause::Safetensors(error).in_file(file))?;
     let texts = about.metadata().as_ref();

@@ -38,6 +38,9 @@ pub(super) const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.
 /// Subscriptions of one viewer.
 const SUBSCRIPTIONS_MAX: usize = 64;
 
+/// Time from one message of the shapes that bend to the next, ns.
+const BENT_EVERY_NS: u64 = 200_000_000;
+
 /// Time from one look at a log's time line to the next.
 const PLAY_EVERY: Duration = Duration::from_millis(50);
 
@@ -62,6 +65,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
         happened: 0,
         played: Played::default(),
         shown: false,
+        bent_at: None,
         allowance: TokenBucket::new(clock.now()),
         clock,
     };
@@ -87,6 +91,8 @@ struct Viewer {
     played: Played,
     /// Whether it has the shapes.
     shown: bool,
+    /// When it was told of the shapes that bend, if it was.
+    bent_at: Option<TimeNs>,
     allowance: TokenBucket,
     clock: MonotonicClock,
 }
@@ -136,7 +142,7 @@ impl Viewer {
                         self.subscriptions.insert(id, channel_id);
                     }
                 }
-                self.shown = false;
+                (self.shown, self.bent_at) = (false, None);
                 if !heard {
                     self.happened = 0;
                     self.told.happened.mark_changed();
@@ -181,7 +187,7 @@ impl Viewer {
     async fn advertise(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let offer = Arc::clone(&self.told.offer.borrow_and_update());
         self.shapes = self.shared.shapes();
-        self.shown = false;
+        (self.shown, self.bent_at) = (false, None);
         if offer.channels == self.offer.channels {
             return Ok(());
         }
@@ -302,6 +308,15 @@ impl Viewer {
             let files = live::shapes(at, shapes.files());
             self.publish(socket, live::SHAPES, at, &files).await?;
         }
+        let now = self.clock.now();
+        if self.subscribed(live::SHAPES).next().is_some() && is_due(self.bent_at, now) {
+            let bent = shapes.bent(message);
+            if !bent.is_empty() {
+                self.bent_at = Some(now);
+                let bent = live::bent(at, bent.into_iter());
+                self.publish(socket, live::SHAPES, at, &bent).await?;
+            }
+        }
         Ok(())
     }
 
@@ -322,5 +337,31 @@ impl Viewer {
             send(socket, Message::Binary(bytes.into())).await?;
         }
         Ok(())
+    }
+}
+
+/// Whether a viewer that was told of the shapes that bend at `before`, if it was, is told `now`.
+fn is_due(before: Option<TimeNs>, now: TimeNs) -> bool {
+    before.is_none_or(|before| now.since(before) >= BENT_EVERY_NS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// However often the scene is drawn, its shapes that bend come five times a second.
+    #[test]
+    fn bent_shapes_come_five_times_a_second() {
+        let mut before = None;
+        let drawn = (0..3000).step_by(33).map(|ms| TimeNs(ms * 1_000_000));
+        let told = drawn.filter(|now| {
+            let due = is_due(before, *now);
+            before = if due { Some(*now) } else { before };
+            due
+        });
+        let told: Vec<u64> = told.map(|at| at.0).collect();
+        let apart = told.windows(2).map(|pair| pair[1] - pair[0]);
+        assert!(apart.min() >= Some(BENT_EVERY_NS), "{told:?}");
+        assert!((12..=15).contains(&told.len()), "{told:?}");
     }
 }

@@ -37,7 +37,7 @@ impl Images {
         cameras.map(|camera| camera.name.clone()).collect()
     }
 
-    /// The camera `name`, new if it was not heard of before, with its place.
+    /// The camera `name` and its index; it is added if it is not there yet.
     fn camera(&mut self, name: &str) -> (usize, &mut LoggedCamera) {
         let known = self.cameras.iter().position(|camera| camera.name == name);
         let index = known.unwrap_or_else(|| {

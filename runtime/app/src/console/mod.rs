@@ -243,9 +243,9 @@ impl Console {
         self.viewers.map(url)
     }
 
-    /// Whether a page can be opened, whose operator may take over.
-    pub(crate) const fn has_page(&self) -> bool {
-        self.page.is_some()
+    /// Whether an operator may take over: on a page, which can be opened, or by devices here.
+    pub(crate) fn has_operator(&self) -> bool {
+        self.page.is_some() || self.shared.hands.are_at_desk()
     }
 
     /// Shows the log at `path` from now on.

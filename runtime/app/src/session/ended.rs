@@ -42,6 +42,7 @@ impl Ended {
             reason: self.reason.clone(),
             command_hash: tally.command_hash(),
             said: RunNote::default(),
+            teleop: None,
         }
     }
 

@@ -26,6 +26,9 @@ pub struct EvalOptions {
     pub keep: Option<Keep>,
 }
 
+/// Makes a policy of the caller's, [`ChunkSource::policy`].
+pub type MakeSource<'a> = &'a (dyn Fn() -> Result<ChunkSource, SessionError> + Sync);
+
 /// Runs the trials of `plan`; `on_trial` hears of each in order. Once `stop` says so, those in progress are abandoned, and the summary is
 /// that of the ones that were done.
 ///
@@ -34,6 +37,31 @@ pub struct EvalOptions {
 pub fn evaluate(
     plan: &Plan,
     options: &EvalOptions,
+    stop: &(dyn Fn() -> bool + Sync),
+    on_trial: &mut dyn FnMut(&TrialSummary),
+) -> Result<EvalSummary, SessionError> {
+    trials(plan, options, None, stop, on_trial)
+}
+
+/// The same with policies of the caller's; that of `plan` only names them. Jobs are threads of this process: `make` makes the policy of each
+/// in its thread, which keeps it from trial to trial and resets it with the seed of each.
+///
+/// # Errors
+/// Those of [`evaluate`] and of `make`.
+pub fn evaluate_with(
+    plan: &Plan,
+    options: &EvalOptions,
+    make: MakeSource<'_>,
+    stop: &(dyn Fn() -> bool + Sync),
+    on_trial: &mut dyn FnMut(&TrialSummary),
+) -> Result<EvalSummary, SessionError> {
+    trials(plan, options, Some(make), stop, on_trial)
+}
+
+fn trials(
+    plan: &Plan,
+    options: &EvalOptions,
+    make: Option<MakeSource<'_>>,
     stop: &(dyn Fn() -> bool + Sync),
     on_trial: &mut dyn FnMut(&TrialSummary),
 ) -> Result<EvalSummary, SessionError> {
@@ -49,7 +77,7 @@ pub fn evaluate(
         stop,
         || {
             let index = workers.fetch_add(1, Ordering::Relaxed);
-            TrialWorker::new(plan, options, stop, index).map(TrialWorker::into_job)
+            TrialWorker::new(plan, options, (make, stop), index).map(TrialWorker::into_job)
         },
         &mut |_, trial: Option<TrialSummary>| {
             if let Some(trial) = trial {
@@ -62,11 +90,13 @@ pub fn evaluate(
     Ok(EvalSummary::new(plan, options.trials, episodes))
 }
 
-/// What one thread keeps from trial to trial: the network, or the connection to an external policy, and the cameras, which are slow to
-/// make.
+/// What one thread keeps from trial to trial: the network, the caller's policy or the connection to an external one, and the cameras,
+/// which are slow to make.
 struct TrialWorker<'a> {
     plan: &'a Plan,
     keep: Option<&'a Keep>,
+    /// Makes the caller's policy, if it is one of theirs.
+    make: Option<MakeSource<'a>>,
     stop: &'a (dyn Fn() -> bool + Sync),
     network: Option<ChunkSource>,
     cameras: Option<SceneCameras>,
@@ -76,11 +106,11 @@ impl<'a> TrialWorker<'a> {
     fn new(
         plan: &'a Plan,
         options: &'a EvalOptions,
-        stop: &'a (dyn Fn() -> bool + Sync),
+        (make, stop): (Option<MakeSource<'a>>, &'a (dyn Fn() -> bool + Sync)),
         index: usize,
     ) -> Result<Self, SessionError> {
         let network = match plan.policy {
-            PolicyChoice::Checkpoint(_) | PolicyChoice::External(_) => {
+            PolicyChoice::Checkpoint(_) | PolicyChoice::External(_) if make.is_none() => {
                 let policy = plan.policy.of_job(index, options.jobs);
                 Some(plan.setup.source(&policy, plan.seed, plan.compute)?)
             }
@@ -89,11 +119,14 @@ impl<'a> TrialWorker<'a> {
             | PolicyChoice::Random
             | PolicyChoice::Teleop
             | PolicyChoice::Operator(_)
-            | PolicyChoice::Own(_) => None,
+            | PolicyChoice::Checkpoint(_)
+            | PolicyChoice::Own(_)
+            | PolicyChoice::External(_) => None,
         };
         Ok(Self {
             plan,
             keep: options.keep.as_ref(),
+            make,
             stop,
             network,
             cameras: None,
@@ -144,6 +177,11 @@ impl<'a> TrialWorker<'a> {
         if let Some(mut network) = self.network.take() {
             network.reset(seed);
             return Ok(network);
+        }
+        if let Some(make) = self.make {
+            let mut source = make()?;
+            source.reset(seed);
+            return Ok(source);
         }
         if matches!(self.plan.policy, PolicyChoice::External(_)) {
             // An earlier trial of this thread has failed, which ends the evaluation; nobody is waited for again.

@@ -1,6 +1,6 @@
 //! What a session is made of: one plan for every verb, wherever its arms are.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use hal::{Arm as _, Pose, TimeNs};
 use tch::Device;
@@ -83,6 +83,8 @@ pub struct Plan<S = Setup> {
     pub log: Option<PathBuf>,
     /// Bytes that the log takes at most on its disk, if it has a bound; it keeps the last part.
     pub log_bytes_max: Option<u64>,
+    /// Says, of the log's path, that it is open.
+    pub log_opened: fn(&Path),
     /// The name of the topics on which others show what the cameras of simulated arms in real time see; without it Trocar draws that.
     pub cameras_on: Option<String>,
     /// Whether frames are drawn for the log that the policy does not need.
@@ -108,6 +110,7 @@ impl<S> Plan<S> {
             demonstrates: false,
             log: None,
             log_bytes_max: None,
+            log_opened: |_| (),
             cameras_on: None,
             log_frames: true,
             pictures: false,
@@ -157,6 +160,7 @@ impl<S: Arms> Plan<S> {
             ..Writing::new(pressure)
         };
         let recorder = Recorder::create_with(path, &self.header(lockstep), writing)?;
+        (self.log_opened)(path);
         Ok(Some(recorder))
     }
 

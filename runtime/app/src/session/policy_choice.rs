@@ -27,7 +27,9 @@ pub enum PolicyChoice {
     Operator(OperatorFigures),
     /// A trained checkpoint.
     Checkpoint(PathBuf),
-    /// One that the caller hands in, as [`ChunkSource::policy`](super::source::ChunkSource::policy), by this name.
+    /// One that the caller hands in, as [`ChunkSource::policy`](super::source::ChunkSource::policy), by this name: to
+    /// [`run_lockstep_with`](super::run::run_lockstep_with), [`evaluate_with`](super::eval::evaluate_with) or
+    /// [`run_rig`](super::realtime::run_rig).
     Own(String),
     /// One in another process, over topics.
     External(ExternalChoice),

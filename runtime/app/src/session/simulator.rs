@@ -1,4 +1,4 @@
-//! Simulated arms with their world and its cameras in a process of their own, led over topics (`trocar simulator`): what a run with
+//! Simulated arms with their world and its cameras in a process of their own, commanded over topics (`trocar simulator`): what a run with
 //! [`Backend::Topics`](super::plan::Backend::Topics) has behind its controller.
 //!
 //! ```text

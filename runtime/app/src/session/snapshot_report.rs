@@ -3,17 +3,14 @@
 use hal::{ARMS_MAX, Pose, TimeNs};
 use trocar_tasks::scene::{SceneSnapshot, THINGS_MAX};
 use trocar_topics::{
-    FLAP_NODES_MAX, Flap, InstrumentParts, Line, PoseMessage, SCENE_ARMS_MAX, SCENE_THINGS_MAX,
-    SnapshotReport,
+    FLAP_NODES_MAX, Flap, InstrumentParts, Line, PoseMessage, SCENE_THINGS_MAX, SnapshotReport,
 };
 use trocar_world::ArmBodies;
 use trocar_world::tissue::{FlapSnapshot, NODES_MAX};
 
 use super::world_report::WorldName;
 
-const _: () = assert!(
-    THINGS_MAX == SCENE_THINGS_MAX && NODES_MAX == FLAP_NODES_MAX && ARMS_MAX == SCENE_ARMS_MAX
-);
+const _: () = assert!(THINGS_MAX == SCENE_THINGS_MAX && NODES_MAX == FLAP_NODES_MAX);
 
 /// The report of `scene` at `stamp` on the system's clock, the step `sequence` of the episode of `world`, for all cameras.
 pub(super) fn report(

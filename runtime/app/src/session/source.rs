@@ -84,18 +84,31 @@ pub enum ChunkSource {
 /// A policy with what it has to be shown, and when.
 pub struct Observer {
     policy: Box<dyn Policy + Send>,
-    cameras: Vec<String>,
+    cameras: Vec<SizedCamera>,
     query_every_steps: u64,
     steps: PolicySteps,
 }
 
+/// A camera by name, and the size in pixels that its frames must have, if any.
+pub(super) type SizedCamera = (String, Option<(u32, u32)>);
+
 impl ChunkSource {
-    /// A policy that looks through `cameras` (names of the task's) and is asked every `query_every_steps` policy steps of 40 ms, at
+    /// A policy that looks through `cameras` (names of the task's, or of a robot's) and is asked every `query_every_steps` policy steps of 40 ms, at
     /// least each step.
     #[must_use]
     pub fn policy(
         policy: Box<dyn Policy + Send>,
         cameras: Vec<String>,
+        query_every_steps: u64,
+    ) -> Self {
+        let cameras = cameras.into_iter().map(|name| (name, None)).collect();
+        Self::seeing(policy, cameras, query_every_steps)
+    }
+
+    /// The same with the sizes of the cameras' frames.
+    fn seeing(
+        policy: Box<dyn Policy + Send>,
+        cameras: Vec<SizedCamera>,
         query_every_steps: u64,
     ) -> Self {
         Self::Policy(Observer {
@@ -126,8 +139,8 @@ impl ChunkSource {
     #[must_use]
     pub fn network(network: LoadedPolicy) -> Self {
         let every = u64::from(network.recipe().query_every_steps);
-        let cameras = camera_names(network.recipe());
-        Self::policy(Box::new(network), cameras, every)
+        let cameras = sized_cameras(network.recipe());
+        Self::seeing(Box::new(network), cameras, every)
     }
 
     /// Forgets the past; everything random afterwards depends on `seed`. What is made with its seed is not changed.
@@ -159,13 +172,19 @@ impl ChunkSource {
     /// Names of the cameras whose frames a query needs.
     #[must_use]
     pub fn cameras(&self) -> Vec<String> {
+        let cameras = self.sized_cameras().iter();
+        cameras.map(|(name, _)| name.clone()).collect()
+    }
+
+    /// The same with the sizes that their frames must have.
+    pub(super) fn sized_cameras(&self) -> &[SizedCamera] {
         match self {
             Self::Expert { .. }
             | Self::Noop { .. }
             | Self::Random { .. }
             | Self::Teleop(_)
-            | Self::Operator(_) => Vec::new(),
-            Self::Policy(observer) => observer.cameras.clone(),
+            | Self::Operator(_) => &[],
+            Self::Policy(observer) => &observer.cameras,
         }
     }
 
@@ -382,6 +401,13 @@ pub fn camera_names(recipe: &Recipe) -> Vec<String> {
         .iter()
         .map(|camera| name(&camera.feature))
         .collect()
+}
+
+/// The same with the sizes that the network was trained with.
+pub(super) fn sized_cameras(recipe: &Recipe) -> Vec<SizedCamera> {
+    let sizes = recipe.cameras.iter();
+    let sizes = sizes.map(|camera| Some((camera.width, camera.height)));
+    camera_names(recipe).into_iter().zip(sizes).collect()
 }
 
 /// A straight stretch to a random place within 4 cm of `home`, the jaw anywhere.

@@ -170,7 +170,7 @@ pub struct CanArmSummary {
     pub answers_rejected: u64,
     /// SYNCs that were left out to find out which ones answers belong to.
     pub syncs_left_out: u64,
-    /// Commands that were no numbers or out of reach.
+    /// Commands that were not finite or out of range.
     pub commands_refused: u64,
     /// Whether each of its drives said at the end that it has no torque any more, before its node was stopped.
     pub confirmed_down: bool,

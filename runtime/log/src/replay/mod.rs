@@ -89,6 +89,17 @@ pub struct Difference {
     pub computed: String,
 }
 
+/// [`Difference::what`] where the logger lost an input.
+const GAP: &str = "log";
+
+impl Difference {
+    /// Whether it is a gap: records that the logger dropped, without which nothing after them can be recomputed.
+    #[must_use]
+    pub fn is_gap(&self) -> bool {
+        self.what == GAP
+    }
+}
+
 impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
@@ -149,7 +160,7 @@ impl From<ConfigError> for ReplayError {
     }
 }
 
-/// Recomputes every command and every safety report of `log` from its inputs.
+/// Recomputes every command and every safety report of `log` from its inputs, up to the first gap: see [`Difference::is_gap`].
 ///
 /// # Errors
 /// [`ReplayError`] when the log does not say how the controller was configured or holds no tick.
@@ -379,7 +390,7 @@ fn lost(step: &Step<'_>) -> Option<Difference> {
 fn dropped(tick: u64, what: String) -> Difference {
     Difference {
         tick,
-        what: "log".to_owned(),
+        what: GAP.to_owned(),
         logged: format!("{what} dropped by the logger"),
         computed: "nothing, for want of it".to_owned(),
     }

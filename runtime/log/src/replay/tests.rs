@@ -190,6 +190,7 @@ fn a_dropped_chunk_is_named() {
             .contains("the chunk dropped by the logger"),
         "{difference}"
     );
+    assert!(difference.is_gap());
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Logs that somebody wrote anew, with all checksums right, and with one thing changed.
+//! Falsified logs: written anew with one thing changed, and all checksums right.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -194,6 +194,11 @@ fn what_no_replay_recomputes_is_compared_by_its_hash() {
     found("commit", "contents", |items| {
         change_metadata(items, "versions", |map| {
             map.insert("commit".to_owned(), "another".to_owned());
+        });
+    });
+    found("hands", "contents", |items| {
+        change_metadata(items, "outcome", |map| {
+            map.insert("teleop".to_owned(), "{}".to_owned());
         });
     });
     // Limits that no command came near.

@@ -6,8 +6,8 @@ use prost::Message as _;
 use super::samples;
 use crate::frames::of_arms;
 use crate::json::TimingMessage;
-use crate::live::{SCENE, of_run, tick, transforms};
-use crate::messages::FrameTransforms;
+use crate::live::{BentShape, SCENE, bent, of_run, tick, transforms};
+use crate::messages::{FrameTransforms, SceneUpdate};
 use crate::record::TickRecord;
 
 /// A tick in which the arm is measured.
@@ -57,4 +57,32 @@ fn frames_form_one_tree() {
         let known = all.iter().any(|other| other.child_frame_id == *parent);
         assert!(parent == SCENE || known, "{parent}");
     }
+}
+
+/// A shape that bends is triangles in its frame, and takes the place of itself.
+#[test]
+fn a_bent_shape_is_triangles() {
+    let shape = |height| BentShape {
+        frame: "3 flap",
+        positions: vec![[0.0, 0.5, height], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        indices: &[0, 1, 2, 2, 1, 0],
+        colour: [1.0, 0.5, 0.25],
+    };
+    let read = |height| {
+        let bytes = bent(TimeNs(5), [shape(height)].into_iter());
+        let mut update = SceneUpdate::decode(&bytes[..]).unwrap();
+        assert_eq!(update.entities.len(), 1);
+        update.entities.remove(0)
+    };
+    let (first, then) = (read(0.25), read(0.75));
+    assert_eq!((&*first.id, &first.id), (&*first.frame_id, &then.id));
+    assert_eq!(&*first.frame_id, "3 flap");
+    assert!(first.frame_locked && first.models.is_empty());
+    let heights = [&first, &then].map(|entity| entity.triangles[0].points[0].z);
+    assert!(heights[0] < heights[1], "{heights:?}");
+    let triangles = &then.triangles[0];
+    assert_eq!(triangles.points.len(), 3);
+    assert_eq!(triangles.indices, [0, 1, 2, 2, 1, 0]);
+    let colour = triangles.color.unwrap();
+    assert!(colour.r > colour.g && colour.g > colour.b && colour.a > 0.99);
 }

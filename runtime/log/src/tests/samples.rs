@@ -154,6 +154,7 @@ pub(super) fn outcome() -> RunOutcome {
             mark: Some(RunMark::Discard),
             label: "Nadel, \"schräg\"".to_owned(),
         },
+        teleop: Some("{\"messages\":2}".to_owned()),
     }
 }
 

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use super::{NiftiError, SIDE_MAX, VOXELS_MAX};
 use crate::grid::Grid;
-use crate::number::single;
+use crate::number::{count_i16, single};
 
 /// Bytes of a header.
 pub(super) const HEADER_LEN: usize = 348;
@@ -290,12 +290,12 @@ impl Header {
         })
     }
 
-    /// The header of a volume on `grid`, little-endian, its voxels 352 bytes in.
+    /// The header of a volume on `grid`, little-endian, its voxels 352 bytes in. No side of `grid` may be longer than [`SIDE_MAX`].
     pub(super) fn bytes(grid: &Grid, data_type: DataType) -> [u8; HEADER_LEN] {
         let mut bytes = [0; HEADER_LEN];
         let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
         put(0, &348_i32.to_le_bytes());
-        let side = |axis: usize| i16::try_from(grid.dims[axis]).unwrap_or(i16::MAX);
+        let side = |axis: usize| count_i16(grid.dims[axis]);
         for (axis, side) in [3, side(0), side(1), side(2), 1, 1, 1, 1]
             .into_iter()
             .enumerate()
@@ -303,8 +303,7 @@ impl Header {
             put(40 + 2 * axis, &side.to_le_bytes());
         }
         put(70, &data_type.code().to_le_bytes());
-        let bits = i16::try_from(8 * data_type.size()).unwrap_or(0);
-        put(72, &bits.to_le_bytes());
+        put(72, &count_i16(8 * data_type.size()).to_le_bytes());
         let float = |value: f64| single(value).to_le_bytes();
         put(108, &float(352.0));
         put(112, &float(1.0));

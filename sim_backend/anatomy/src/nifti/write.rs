@@ -30,6 +30,9 @@ impl Writer {
     ///
     /// # Errors
     /// [`NiftiError::Unwritable`].
+    ///
+    /// # Panics
+    /// If a side of `grid` does not fit the header's 16 bits; [`SIDE_MAX`](super::SIDE_MAX) does.
     pub fn create(path: &Path, grid: &Grid, data_type: DataType) -> Result<Self, NiftiError> {
         let unwritable = |source| NiftiError::Unwritable {
             path: path.display().to_string(),

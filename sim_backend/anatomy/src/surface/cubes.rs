@@ -75,7 +75,7 @@ impl Table {
 }
 
 /// Vertices by the voxel before them and the axis.
-type Vertices = BTreeMap<(usize, u8), u32>;
+type Vertices = BTreeMap<(usize, u32), u32>;
 
 /// Adds the surface of `group` to `complex`, in voxel coordinates, with background before it.
 fn add_group(volume: &Padded, group: u8, table: &Table, complex: &mut Complex) {
@@ -103,7 +103,6 @@ fn add_group(volume: &Padded, group: u8, table: &Table, complex: &mut Complex) {
                             p[axis as usize] += 0.5;
                             Point3::from(p)
                         };
-                        let axis = u8::try_from(axis).unwrap_or(0);
                         *vertices.entry((voxel, axis)).or_insert_with(|| {
                             complex.positions.push(place());
                             index(complex.positions.len() - 1)

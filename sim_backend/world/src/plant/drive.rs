@@ -24,7 +24,7 @@ pub struct Load {
     pub squeeze_damping: f64,
 }
 
-/// What each of seven drives should do that are led one by one, as drives on a bus are.
+/// Set-points of seven drives that are commanded one by one, as drives on a bus are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveSetpoint {
     /// Whether an axis is an actuator; otherwise it is a joint, jaw last, and its drive works through the coupling.
@@ -37,7 +37,7 @@ pub struct DriveSetpoint {
     pub torque: AxisVector,
 }
 
-/// Shares of the effort limits, of drives that are led one by one.
+/// Shares of the effort limits, of drives that are commanded one by one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Shares {
     joint: AxisVector,
@@ -102,7 +102,7 @@ impl Plant {
         self.shares = None;
     }
 
-    /// Takes setpoints of drives that are led one by one, which hold until the next ones.
+    /// Takes set-points of drives that are commanded one by one, which hold until the next ones.
     pub fn lead(&mut self, setpoint: &DriveSetpoint) {
         let shares = setpoint.torque.map(|share| share.clamp(0.0, 1.0));
         let all = [1.0; AXIS_COUNT];

@@ -89,7 +89,7 @@ impl World {
         self.arms[arm].command(command);
     }
 
-    /// Takes setpoints for the drives of an arm that are led one by one, which hold until the next ones.
+    /// Takes set-points for the drives of an arm that are commanded one by one, which hold until the next ones.
     pub fn lead(&mut self, arm: usize, setpoint: &DriveSetpoint) {
         self.arms[arm].lead(setpoint);
     }

@@ -221,7 +221,7 @@ async fn emergencies<B: Bus>(to: &Writer<'_, '_, B>, cycle_ns: u64) -> Result<()
             if code == AbortCode::NO_OBJECT || code == AbortCode::NO_DATA => {}
         Err(error) => return Err(error),
     }
-    let cycle_100_us = i64::try_from(cycle_ns / 100_000).unwrap_or(0);
+    let cycle_100_us = (cycle_ns / 100_000).cast_signed();
     keep(
         to,
         &Setting::unsigned(index::EMERGENCY_INHIBIT, 2, 0).allowed(0, cycle_100_us),

@@ -1,7 +1,8 @@
 //! Tables of numbers as text: a line of names, then a line of numbers a row.
 
-use std::fs;
 use std::path::Path;
+
+use hal::files;
 
 use super::super::ImportError;
 use super::recordings::Numbers;
@@ -18,10 +19,7 @@ pub(super) fn read_table(path: &Path) -> Result<Numbers, ImportError> {
         path: path.to_owned(),
         source,
     };
-    if fs::metadata(path).map_err(io_error)?.len() > SIZE_MAX {
-        return Err(io_error(std::io::Error::other("it has more than 1 GiB")));
-    }
-    let text = fs::read_to_string(path).map_err(io_error)?;
+    let text = files::read_text(path, "a table", SIZE_MAX).map_err(io_error)?;
     let mut lines = text.lines().enumerate();
     let header = lines.next().map(|(_, line)| line).unwrap_or_default();
     let names: Vec<String> = cells(header).map(str::to_owned).collect();

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use hal::files;
 use image::RgbImage;
 
 use super::super::ImportError;
@@ -248,10 +249,7 @@ impl Recordings for RawRecordings {
             path: path.clone(),
             source,
         };
-        if fs::metadata(&path).map_err(io_error)?.len() > IMAGE_BYTES_MAX {
-            return Err(io_error(std::io::Error::other("it has more than 64 MiB")));
-        }
-        let bytes = fs::read(&path).map_err(io_error)?;
+        let bytes = files::read(&path, "an image", IMAGE_BYTES_MAX).map_err(io_error)?;
         let decoded = decode(&bytes).map_err(|source| DatasetError::Image {
             what: path.display().to_string(),
             source,

@@ -145,8 +145,9 @@ pub(crate) enum Verb {
         after_help = "Example: trocar report runs/sufia-bc --out runs/sufia-bc.html\n         trocar report runs/shard-1 runs/shard-2 --out runs/sufia-bc.md --json runs/sufia-bc.json"
     )]
     Report(ReportArgs),
-    /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical. With --console it is shown with a time line, and
-    /// so are all episodes of a dataset, whose folder is given in the log's place.
+    /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical. It ends at the first gap, records that the logger
+    /// dropped since its disk stood still, and names the tick. With --console it is shown with a time line, and so are all episodes of a
+    /// dataset, whose folder is given in the log's place.
     #[command(
         after_help = "Example: trocar replay runs/a.mcap\n         trocar replay runs/a.mcap --console\n         trocar replay runs/demos --console"
     )]
@@ -161,7 +162,7 @@ pub(crate) enum Verb {
         after_help = "Example: trocar drives --task needle-lift --seed 7\n         trocar drives --config runs/can.toml --fault kind=pull,node=3,at=2s --json runs/drives.json"
     )]
     Drives(DrivesArgs),
-    /// Simulate the arms of a task with their world and cameras in a process of its own, led over topics by `run --backend topics`.
+    /// Simulate the arms of a task with their world and cameras in a process of its own, commanded over topics by `run --backend topics`.
     #[command(
         after_help = "Example: trocar simulator --task needle-lift --seed 7 --topics lab --cameras multi\n         trocar run --task needle-lift --seed 7 --policy expert --backend topics --topics lab"
     )]
@@ -346,7 +347,8 @@ pub(crate) struct RunArgs {
     #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
     pub(crate) seconds: Option<f64>,
     /// With --safety: the axes in which an operator's hands move an arm, once an arm: how the view (x to the right, y up, z towards the viewer) is turned
-    /// in the arm's RCM frame, degrees about its x, then y, then z. --policy teleop needs it, and so does whoever is to take over from a policy on the --console.
+    /// in the arm's RCM frame, degrees about its x, then y, then z. --policy teleop needs it, and so does whoever is to take over from a policy on the --console or
+    /// by --hands.
     #[arg(
         long,
         value_name = "ARM=X,Y,Z",

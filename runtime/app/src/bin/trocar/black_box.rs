@@ -27,29 +27,53 @@ static LOCK: OnceLock<File> = OnceLock::new();
 /// What simulated arms keep is called this.
 const SIMULATION: &str = "simulation";
 
-/// The run's log and its bound, as asked or as a run in real time keeps it.
-pub(crate) fn log_of(args: &RunArgs) -> (Option<PathBuf>, Option<u64>) {
+/// The log of a run.
+pub(crate) struct Log {
+    /// Where it goes, if anywhere.
+    pub(crate) path: Option<PathBuf>,
+    /// Bytes that it takes at most, if it has a bound.
+    pub(crate) bytes_max: Option<u64>,
+    /// What is said once it is open.
+    pub(crate) opened: fn(&Path),
+}
+
+/// The log as asked, or as a run in real time keeps it.
+pub(crate) fn log_of(args: &RunArgs) -> Log {
     let asked = args.log.is_some() || args.no_log;
     if asked || args.lockstep {
-        return (args.log.clone(), args.log_max_mb.map(|mb| mb << 20));
+        return Log {
+            path: args.log.clone(),
+            bytes_max: args.log_max_mb.map(|mb| mb << 20),
+            opened: |_| (),
+        };
     }
     let name = match args.backend {
         Backend::Can | Backend::Topics => args.topics.as_deref().unwrap_or(DEFAULT_TOPICS),
         Backend::Sim => SIMULATION,
     };
     match folder().and_then(|folder| kept(&folder, name)) {
-        Ok(log) => {
-            let (path, mb) = (log.display(), BYTES_MAX >> 20);
-            console::note(&format!(
-                "trocar: the last {mb} MB of its log are kept in {path}; --log FILE keeps all of it, --no-log nothing"
-            ));
-            (Some(log), Some(BYTES_MAX))
-        }
+        Ok(log) => Log {
+            path: Some(log),
+            bytes_max: Some(BYTES_MAX),
+            opened: say_where,
+        },
         Err(error) => {
             console::warning(&format!("no log is kept of this run: {error}"));
-            (None, None)
+            Log {
+                path: None,
+                bytes_max: None,
+                opened: |_| (),
+            }
         }
     }
+}
+
+/// Says that the log at `path` is kept unasked. A run that is refused before it is open keeps none.
+fn say_where(path: &Path) {
+    let (path, mb) = (path.display(), BYTES_MAX >> 20);
+    console::note(&format!(
+        "trocar: the last {mb} MB of its log are kept in {path}; --log FILE keeps all of it, --no-log nothing"
+    ));
 }
 
 /// Where it is kept: the service's folder, or the user's for states.

@@ -186,26 +186,21 @@ fn check_stereo(args: &RunArgs) -> Result<(), SessionError> {
     Ok(())
 }
 
-/// An operator's hands come over the console or from devices, in real time.
+/// An operator's hands come over the console or from devices, in real time; those of devices may take over from any policy.
 fn check_teleop(args: &RunArgs, policy: &PolicyChoice) -> Result<(), SessionError> {
-    let hands = args.page.console.is_some() || args.desk.is_given();
-    let missing = match (policy, args.lockstep, hands) {
-        (PolicyChoice::Teleop, true, _) => {
-            "--lockstep has virtual time, and a person moves in real time: leave it out"
-        }
-        (PolicyChoice::Teleop, false, false) => {
-            "the operator's hands come over --console, or from --hands"
-        }
-        (PolicyChoice::Teleop, false, true) => return Ok(()),
-        _ if args.desk.is_given() => {
-            let reason = "--hands needs --policy teleop";
-            return Err(SessionError::BadArgument(reason.to_owned()));
-        }
-        _ => return Ok(()),
+    let (teleop, at_desk) = (*policy == PolicyChoice::Teleop, args.desk.is_given());
+    let hands = args.page.console.is_some() || at_desk;
+    let option = if teleop { "--policy teleop" } else { "--hands" };
+    let reason = if args.lockstep && (teleop || at_desk) {
+        "--lockstep has virtual time, and a person moves in real time: leave it out"
+    } else if teleop && !hands {
+        "the operator's hands come over --console, or from --hands"
+    } else if !teleop && at_desk && args.safety.is_some() && args.hands_view.is_empty() {
+        "of a robot without a task it needs --hands-view ARM=X,Y,Z, the axes in which hands move each arm"
+    } else {
+        return Ok(());
     };
-    Err(SessionError::BadArgument(format!(
-        "--policy teleop: {missing}"
-    )))
+    Err(SessionError::BadArgument(format!("{option}: {reason}")))
 }
 
 /// What is read and checked of a run's arguments before its arms.
@@ -218,11 +213,12 @@ struct Chosen {
 
 /// The plan of a run with the arms of `setup`.
 fn planned<S>(args: &RunArgs, setup: S, chosen: Chosen) -> Plan<S> {
-    let (log, log_bytes_max) = black_box::log_of(args);
+    let log = black_box::log_of(args);
     Plan {
         seed: args.seed,
-        log,
-        log_bytes_max,
+        log: log.path,
+        log_bytes_max: log.bytes_max,
+        log_opened: log.opened,
         cameras_on: args.topics.clone().filter(|_| args.backend == Backend::Sim),
         log_frames: args.log.is_some() || args.backend != Backend::Sim,
         latency_ms: args.latency_ms,

@@ -60,8 +60,8 @@ impl HeadsetArgs {
 pub(crate) struct DeskArgs {
     /// Move the arms with a keyboard, gamepad or SpaceMouse of this computer, such as /dev/input/event5, in place of a page's: the controls are
     /// the page's own; G or Start starts a demonstration, Y or A keeps it, Z or Select has it done again, X or B discards it; a robot's run is
-    /// marked a success by Y or A, and to be discarded by X or B. Several may be given; of two arms the first then moves psm1 and the others
-    /// psm2. A keyboard moves the arms whichever window has the focus. A file or pipe of recorded events will do as well.
+    /// marked a success by Y or A, and to be discarded by X or B. Beside a policy whoever takes the clutch drives; B of a keyboard, or RB, hands
+    /// back to it. Several may be given; of two arms the first then moves psm1 and the others psm2. A keyboard moves the arms whichever window has the focus. A file or pipe of recorded events will do as well.
     #[arg(long, value_name = "PATH")]
     pub(crate) hands: Vec<PathBuf>,
 }

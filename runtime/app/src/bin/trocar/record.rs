@@ -27,10 +27,10 @@ pub(crate) enum Demonstrator {
     Expert,
     /// A simulated operator in lockstep: with visual delay and hand tremor, through teleoperation, as a person's do.
     SimulatedOperator,
-    /// A person's hands, in real time over --console.
+    /// A person's hands, in real time over --console or from --hands.
     Teleop,
-    /// The policy of --policy in real time, from which a person takes over where it fails, over --console (DAgger). The dataset's column
-    /// `intervention` says who drove in each frame.
+    /// The policy of --policy in real time, from which a person takes over where it fails, over --console or from --hands (DAgger). The
+    /// dataset's column `intervention` says who drove in each frame.
     Intervention,
 }
 
@@ -230,9 +230,9 @@ fn check_source(args: &RecordArgs) -> Result<(), SessionError> {
     let intervention = args.source == Demonstrator::Intervention;
     let at_desk = args.desk.is_given();
     let wrong = match (by_hand, args.page.console.is_some() || at_desk) {
-        _ if at_desk && args.source != Demonstrator::Teleop => "--hands needs --source teleop",
+        _ if at_desk && !by_hand => "--hands needs --source teleop or intervention",
         (true, false) => {
-            "--source teleop and intervention: the operator's hands come over --console, those of teleop from --hands too"
+            "--source teleop and intervention: the operator's hands come over --console, or from --hands"
         }
         (true, true) if args.jobs > 1 => "--jobs: a person does one episode at a time",
         _ if args.disturb.is_some() && args.source != Demonstrator::Expert => {

@@ -92,6 +92,10 @@ fn replay_log(args: &LogArgs) -> Done {
     match &result.first_difference {
         None if result.identical => console::result(&identical(&result)),
         None => console::result(&format!("not identical after {} ticks", result.ticks)),
+        Some(gap) if gap.is_gap() => console::result(&format!(
+            "ends at a gap: tick {}: {}; {} ticks before it are identical",
+            gap.tick, gap.logged, result.ticks
+        )),
         Some(difference) => console::result(&format!("differs: {difference}")),
     }
     if let Some(path) = &args.json {

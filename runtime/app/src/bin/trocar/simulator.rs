@@ -32,7 +32,7 @@ pub(crate) struct SimulatorArgs {
     /// given.
     #[arg(long, value_name = "single|multi|NAMES")]
     pub(crate) cameras: Option<String>,
-    /// Names the topics on which the arms are led, and scene, verdict and frames are shown.
+    /// Names the topics on which the arms are commanded, and scene, verdict and frames are shown.
     #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
     pub(crate) topics: String,
     /// Override one configuration value: FILE.KEY=VALUE, where FILE is safety or scene. May be given several times.

@@ -27,6 +27,10 @@ use super::pictures::Board;
 use glb::Writer;
 pub(super) use shapes::Shapes;
 
+/// Bytes of a pose and of a vector in a message of [`message`].
+const POSE_BYTES: usize = 28;
+const VECTOR_BYTES: usize = 12;
+
 /// The file of `model` as it is in `start`, with the limits of `arms`.
 ///
 /// Its first nodes are the model's visuals, in their order; the next ones its cameras; what follows does not move.
@@ -113,24 +117,53 @@ pub(super) fn message(
 
 /// The poses of visuals and of cameras that a message of [`message`] says; none if it is no such message.
 pub(super) fn places(message: &[u8]) -> Option<(Vec<Pose>, Vec<Pose>)> {
-    let count = |at: usize| {
-        let bytes = message.get(at..at + 4)?.try_into().ok()?;
-        usize::try_from(u32::from_le_bytes(bytes)).ok()
-    };
-    let (visuals, cameras) = (count(encode::HEAD)?, count(encode::HEAD + 4)?);
-    let poses = message.get(encode::HEAD + 12..)?.chunks_exact(28);
+    let [visuals, cameras, _] = counts(message)?;
+    let poses = message.get(encode::HEAD + 12..)?.chunks_exact(POSE_BYTES);
     let mut poses = poses.map(pose).take(visuals.checked_add(cameras)?);
     let visuals = poses.by_ref().take(visuals).collect();
     Some((visuals, poses.collect()))
 }
 
+/// The bent shapes that a message of [`message`] says, each with the number of its visual and its positions, m; none if it is no such message.
+fn bent(message: &[u8]) -> Option<Vec<(usize, Vec<[f32; 3]>)>> {
+    let [visuals, cameras, shapes] = counts(message)?;
+    let poses = visuals.checked_add(cameras)?.checked_mul(POSE_BYTES)?;
+    let mut rest = message.get(encode::HEAD + 12..)?.get(poses..)?;
+    let mut bent = Vec::new();
+    for _ in 0..shapes {
+        let (index, vertices) = (count(rest, 0)?, count(rest, 4)?);
+        let bytes = vertices.checked_mul(VECTOR_BYTES)?;
+        let shape = rest.get(8..)?;
+        let positions = shape.get(..bytes)?.chunks_exact(VECTOR_BYTES);
+        let positions = positions.map(|bytes| [0, 1, 2].map(|index| single(bytes, index)));
+        bent.push((index, positions.collect()));
+        rest = shape.get(bytes.checked_mul(2)?..)?;
+    }
+    Some(bent)
+}
+
+/// How many visuals, cameras and bent shapes a message of [`message`] says.
+fn counts(message: &[u8]) -> Option<[usize; 3]> {
+    let of = |place: usize| count(message, encode::HEAD + 4 * place);
+    Some([of(0)?, of(1)?, of(2)?])
+}
+
+/// The count at this place of `bytes`.
+fn count(bytes: &[u8], at: usize) -> Option<usize> {
+    let bytes = bytes.get(at..at + 4)?.try_into().ok()?;
+    usize::try_from(u32::from_le_bytes(bytes)).ok()
+}
+
+/// The number of this index among those in `bytes`.
+fn single(bytes: &[u8], index: usize) -> f32 {
+    let bytes = bytes.get(4 * index..4 * index + 4);
+    let bytes = bytes.and_then(|bytes| bytes.try_into().ok());
+    bytes.map_or(0.0, f32::from_le_bytes)
+}
+
 /// The pose that [`seven`] numbers are.
 fn pose(bytes: &[u8]) -> Pose {
-    let number = |index: usize| {
-        let bytes = bytes.get(4 * index..4 * index + 4);
-        let bytes = bytes.and_then(|bytes| bytes.try_into().ok());
-        f64::from(bytes.map_or(0.0, f32::from_le_bytes))
-    };
+    let number = |index: usize| f64::from(single(bytes, index));
     let turn = Quaternion::new(number(6), number(3), number(4), number(5));
     Pose::from_parts(
         Translation3::new(number(0), number(1), number(2)),
@@ -208,6 +241,32 @@ mod tests {
         f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap())
     }
 
+    /// A viewer is told of each shape that bends, in its frame, what a page is.
+    fn viewers_see_what_bends(model: &mut SceneModel, snapshot: &SceneSnapshot, bytes: &[u8]) {
+        let now = model.bent(snapshot).into_iter();
+        let now: Vec<_> = now.map(|(index, mesh)| (index, mesh.clone())).collect();
+        let indices: Vec<usize> = now.iter().map(|(index, _)| *index).collect();
+        let shapes = Shapes::new(model, &indices);
+        let told = shapes.bent(bytes);
+        assert_eq!(told.len(), now.len());
+        for (shape, (index, mesh)) in told.iter().zip(&now) {
+            assert_eq!(Some(shape.frame), shapes.frames().nth(*index));
+            assert!(shapes.files().all(|(frame, _)| frame != shape.frame));
+            assert_eq!(shape.positions, mesh.positions);
+            assert_eq!(shape.indices, mesh.indices);
+            assert!(shape.colour.iter().all(|part| (0.0..=1.0).contains(part)));
+        }
+        // Those of another scene are not mixed with this one's triangles.
+        let mut other = bytes.to_vec();
+        if let Some((index, _)) = now.first() {
+            let at =
+                encode::HEAD + 12 + POSE_BYTES * (model.visuals().len() + model.cameras().count());
+            assert_eq!(count(&other, at), Some(*index));
+            other[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
+            assert_eq!(shapes.bent(&other).len(), now.len() - 1);
+        }
+    }
+
     /// The message has exactly what it says, and the flap is where the simulation has it.
     #[test]
     fn a_message_says_where_everything_is() {
@@ -240,6 +299,8 @@ mod tests {
                 end += 8 + 24 * u32_at(&bytes, end + 4);
             }
             assert_eq!(end, bytes.len(), "{name}");
+            viewers_see_what_bends(&mut model, &snapshot, &bytes);
+            assert_eq!(super::bent(&bytes[..bytes.len() - 1]), None, "{name}");
         }
     }
 }

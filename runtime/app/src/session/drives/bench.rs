@@ -273,8 +273,8 @@ fn set_slack(arms: &mut [Coupling], node: NodeId, slack: bool) {
 
 /// Sends the SYNC of the arm that `node` belongs to, as a second master does.
 fn send_sync(arms: &[Coupling], node: NodeId, network: &mut Network<Terminal>) {
-    let led = |arm: &&Coupling| arm.plan().axes.iter().any(|axis| axis.node == node);
-    let (arm, line) = (arms.iter().find(led), network.line_of(node));
+    let has_node = |arm: &&Coupling| arm.plan().axes.iter().any(|axis| axis.node == node);
+    let (arm, line) = (arms.iter().find(has_node), network.line_of(node));
     if let (Some(arm), Some(line)) = (arm, line) {
         let sync = Frame::new(arm.plan().sync_id, Payload::EMPTY);
         network.intrude(line, sync);

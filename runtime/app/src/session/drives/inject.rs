@@ -125,7 +125,7 @@ pub(super) struct Injector {
 }
 
 impl Injector {
-    /// Prepares `faults` on `network`, whose drives are led every `cycle_ns`.
+    /// Prepares `faults` on `network`, whose drives get a set-point every `cycle_ns`.
     pub(super) fn new(
         faults: &[InjectedFault],
         cycle_ns: u64,

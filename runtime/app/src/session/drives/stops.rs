@@ -190,8 +190,8 @@ impl StopWatch {
 
 fn cause(node: &Node, powered: bool) -> StopCause {
     let dictionary = node.dictionary();
-    let code = u16::try_from(dictionary.get(index::ERROR_CODE)).unwrap_or(0);
-    let control = u16::try_from(dictionary.get(index::CONTROL)).unwrap_or(0);
+    let code: u16 = dictionary.get_as(index::ERROR_CODE);
+    let control: u16 = dictionary.get_as(index::CONTROL);
     let command = ControlView(control).command();
     if !powered {
         StopCause::Powerless

@@ -10,6 +10,7 @@ use super::frames::LoggedCamera;
 use super::grid::SeenStep;
 use super::ticks::{Row, Ticks};
 use super::{LogImportError, LogImportOptions, SOURCE};
+use crate::session::PolicyChoice;
 
 /// An episode before its images are read.
 #[derive(Debug)]
@@ -95,7 +96,7 @@ impl LoggedEpisode {
             cameras: cameras.iter().map(spec).collect(),
             arms,
             steps: steps.into_iter().zip(rows).collect(),
-            note: note(log, &header, &outcome),
+            note: note(log, &header, &outcome)?,
             task: header.task,
         })))
     }
@@ -158,10 +159,34 @@ pub(super) fn whole(log: &Path, end: LogEnd) -> Result<RunOutcome, LogImportErro
     }
 }
 
+/// What an operator's hands did in the run, if they drove.
+fn teleop(log: &Path, outcome: &RunOutcome) -> Result<Option<Value>, LogImportError> {
+    let Some(text) = &outcome.teleop else {
+        return Ok(None);
+    };
+    match serde_json::from_str(text) {
+        Ok(teleop @ Value::Object(_)) => Ok(Some(teleop)),
+        Ok(_) | Err(_) => Err(LogImportError::Teleop {
+            log: log.to_owned(),
+            text: text.clone(),
+        }),
+    }
+}
+
+/// Who demonstrated: an operator's hands alone, hands that took over from a policy; the log itself if it does not say so.
+fn source(header: &RunHeader, teleop: Option<&Value>) -> &'static str {
+    match teleop {
+        Some(_) if header.policy == PolicyChoice::Teleop.name() => "teleop",
+        Some(_) => "intervention",
+        None => SOURCE,
+    }
+}
+
 /// How the episode came about.
-fn note(log: &Path, header: &RunHeader, outcome: &RunOutcome) -> Value {
+fn note(log: &Path, header: &RunHeader, outcome: &RunOutcome) -> Result<Value, LogImportError> {
+    let teleop = teleop(log, outcome)?;
     let mut note = json!({
-        "source": SOURCE,
+        "source": source(header, teleop.as_ref()),
         "log": log.file_name().map(|name| name.to_string_lossy()),
         "policy": header.policy,
         "reason": outcome.reason,
@@ -177,6 +202,9 @@ fn note(log: &Path, header: &RunHeader, outcome: &RunOutcome) -> Value {
     if !outcome.said.label.is_empty() {
         note["label"] = outcome.said.label.as_str().into();
     }
+    if let Some(teleop) = teleop {
+        note["teleop"] = teleop;
+    }
     if !header.task.is_empty() {
         note["task"] = header.task.as_str().into();
         note["seed"] = header.seed.into();
@@ -187,5 +215,5 @@ fn note(log: &Path, header: &RunHeader, outcome: &RunOutcome) -> Value {
             note[key] = version.as_str().into();
         }
     }
-    note
+    Ok(note)
 }

@@ -51,6 +51,16 @@ pub enum LogImportError {
         /// The mark.
         mark: String,
     },
+    /// What an operator's hands did in the run can't be read.
+    #[error(
+        "{log}: its `teleop` is {text:?}, which is no JSON object; import it with the version that recorded it"
+    )]
+    Teleop {
+        /// The log.
+        log: PathBuf,
+        /// What it says.
+        text: String,
+    },
     /// No arm was asked for anything.
     #[error(
         "{log}: its arms were never ENABLED with a target at once, so there is nothing to learn from; leave it out"
@@ -186,6 +196,7 @@ impl LogImportError {
             | Self::Bounded { .. }
             | Self::Altered { .. }
             | Self::Mark { .. }
+            | Self::Teleop { .. }
             | Self::NeverAsked { .. }
             | Self::NoCamera { .. }
             | Self::NoFrames { .. }

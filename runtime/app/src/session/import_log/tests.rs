@@ -264,6 +264,42 @@ fn runs_are_taken_as_their_operator_marked_them() {
     assert!(!options.out.exists());
 }
 
+/// Who drove is the episode's source, and what is known of the hands is there as the run counted it.
+#[test]
+fn an_episode_by_hand_says_so() {
+    let folder = Scratch::folder("import-log-by-hand");
+    let text = r#"{"hand_to_command_ms":{"p50":9.5,"p99":21.0},"device":"headset","scale":0.4}"#;
+    let made = |name: &str, policy, teleop| {
+        let made = HandMade {
+            policy,
+            teleop,
+            ..HandMade::default()
+        };
+        made.write(&folder.join(name))
+    };
+    let logs = [
+        made("hands.mcap", "teleop", Some(text)),
+        made("taken.mcap", "runs/act", Some(text)),
+        // Logs of before do not say what hands did.
+        made("before.mcap", "teleop", None),
+    ];
+    let options = options(&folder, &[&logs[0], &logs[1], &logs[2]]);
+    import_logs(&options, &mut |_, _| {}).unwrap();
+    let notes = Notes::read(&options.out).unwrap().episodes;
+    let said = notes
+        .iter()
+        .map(|note| json!([note["source"], note["teleop"]]));
+    let hands: serde_json::Value = serde_json::from_str(text).unwrap();
+    assert_eq!(
+        said.collect::<Vec<_>>(),
+        [
+            json!(["teleop", hands]),
+            json!(["intervention", hands]),
+            json!(["log", null])
+        ]
+    );
+}
+
 /// Of two sizes --resize makes one, and images of the chosen cameras alone are there, in the order that was asked for.
 #[test]
 fn cameras_are_chosen_and_resized() {

@@ -60,7 +60,7 @@ fn is_left_over(socket: &Path) -> bool {
     process.is_some_and(|process| !Path::new("/proc").join(process).exists())
 }
 
-/// The sockets in `folder` at which somebody listens; those of runs that are gone are removed.
+/// The sockets in `folder` at which a run listens; those of runs that are gone are removed.
 pub(super) fn listening(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in fs::read_dir(folder)? {

@@ -97,13 +97,14 @@ impl ByHand {
     }
 }
 
-/// An operator who may take over from the policy of `plan`, on a page of its console, if it is known in which axes; and the control thread's end.
+/// An operator who may take over from the policy of `plan`, on a page of its console or by devices here, if it is known in which axes; and
+/// the control thread's end.
 pub(super) fn intervention<S: Arms>(
     plan: &Plan<S>,
 ) -> Option<(Box<Intervention>, Consumer<TeleopCommand>)> {
     let by_hand = plan.policy == PolicyChoice::Teleop;
     let console = plan.console.as_ref();
-    let console = console.filter(|console| console.has_page() && !by_hand)?;
+    let console = console.filter(|console| console.has_operator() && !by_hand)?;
     let views = plan.setup.rcms_from_view();
     if views.is_empty() {
         return None;

@@ -7,9 +7,10 @@ use super::cameras_child::CamerasChild;
 use super::child::Outside;
 use super::child_process::fresh_run_id;
 use super::opened::Opened;
-use super::remote_arms::{Camera, FRAMES_WITHIN_MS, PrintLine, Wanted, cameras};
+use super::remote_arms::{Camera, FRAMES_WITHIN_MS, PrintLine, cameras};
 use super::scene_topics::SceneForCameras;
 use crate::rt::MonotonicClock;
+use crate::session::source::SizedCamera;
 use crate::session::{Plan, SessionError};
 
 /// The cameras.
@@ -30,7 +31,7 @@ pub(super) struct Stage {
     pub(super) node: Option<TopicNode>,
     pub(super) cameras: Cameras,
     /// The cameras whose frames are wanted, with their sizes in pixels if some are asked for: those that the policy looks through first.
-    pub(super) wanted: Vec<Wanted>,
+    pub(super) wanted: Vec<SizedCamera>,
     looked_at: usize,
     /// Where everything is, for whoever draws it.
     pub(super) scene: Option<SceneForCameras>,
@@ -116,7 +117,7 @@ impl Stage {
 }
 
 /// The cameras that are drawn for the policy, which looks through `seen`, the log, the pictures and, if it is `remote`, others on its topics.
-fn wanted(plan: &Plan, seen: Vec<Wanted>, remote: bool) -> Vec<Wanted> {
+fn wanted(plan: &Plan, seen: Vec<SizedCamera>, remote: bool) -> Vec<SizedCamera> {
     let setup = &plan.setup;
     let kept = setup.kept_cameras.is_some();
     let others = plan.cameras_on.is_some();

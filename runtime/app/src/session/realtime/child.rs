@@ -93,7 +93,7 @@ impl OwnProcess {
 /// Whose process it is.
 enum Peer {
     Own(Box<OwnProcess>),
-    /// Somebody else's, which is told to stop and left to itself.
+    /// One that this run did not start, which is told to stop and left to itself.
     External(Box<ExternalLink>),
 }
 

@@ -20,11 +20,13 @@ pub(super) fn closed<R, S: Arms>(
 ) -> RunResult {
     // The log and the result say the same of it, and nobody marks a run that has ended.
     let said = marked_by.and_then(Hands::take_said).unwrap_or_default();
+    let teleop = plan.by_hand();
     let mut log_dropped = control.log_dropped;
     let mut log_failure = None;
     if let Some(log) = log {
         let outcome = RunOutcome {
             said: said.clone(),
+            teleop: teleop.and_then(|it| serde_json::to_string(&it).ok()),
             ..ended.outcome(&control.tally)
         };
         match log.finish(Some(&outcome)) {
@@ -40,6 +42,7 @@ pub(super) fn closed<R, S: Arms>(
         ok: ended.ok,
         summary: RunSummary {
             said,
+            teleop,
             ..control.tally.summary(plan, ended, Some(real_time))
         },
         pictures: Thumbnails::default(),

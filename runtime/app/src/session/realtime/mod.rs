@@ -66,7 +66,7 @@ pub use remote_arms::{
     CanOptions, PrintLine, TopicArms, run_on_can, run_on_topics, run_robot_on_can,
     run_robot_on_topics,
 };
-pub use robot::{RobotOptions, run_rig};
+pub use robot::{RigCameras, RobotOptions, run_rig, run_rig_seeing};
 pub(super) use simulation_thread::is_due;
 
 use super::ended::Ended;

@@ -151,9 +151,15 @@ pub(in crate::session) struct QuerySchedule {
 
 impl QuerySchedule {
     pub(in crate::session) fn of(network: &LoadedPolicy) -> Self {
+        let every_steps = u64::from(network.recipe().query_every_steps);
+        Self::new(every_steps, network.history_steps())
+    }
+
+    /// With so many policy steps from one query to the next, and before one those that are shown.
+    pub(in crate::session) fn new(every_steps: u64, history_steps: u64) -> Self {
         Self {
-            every_steps: u64::from(network.recipe().query_every_steps).max(1),
-            history_steps: network.history_steps(),
+            every_steps: every_steps.max(1),
+            history_steps,
             answered: None,
             shown: None,
         }
@@ -256,12 +262,7 @@ mod tests {
 
     #[test]
     fn a_turn_is_answered_once_and_its_end_is_shown() {
-        let mut turns = QuerySchedule {
-            every_steps: 10,
-            history_steps: 2,
-            answered: None,
-            shown: None,
-        };
+        let mut turns = QuerySchedule::new(10, 2);
         let mut seen = |step| turns.of_step(step);
         // The first of a turn that can be answered is, be it late.
         assert_eq!(seen(3), StepKind::Query);

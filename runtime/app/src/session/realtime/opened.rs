@@ -9,7 +9,7 @@ use super::child::{Outside, PolicyChild, check_cameras};
 use super::remote_arms::PrintLine;
 use crate::session::external::{About, ExternalLink, check_wanted};
 use crate::session::plan::Arms;
-use crate::session::source::{ChunkSource, STEP_NS, camera_names};
+use crate::session::source::{ChunkSource, STEP_NS, SizedCamera, sized_cameras};
 use crate::session::teleop::Teleop;
 use crate::session::{Plan, PolicyChoice, SessionError};
 
@@ -79,16 +79,9 @@ impl<'a> Opened<'a> {
     }
 
     /// The cameras that it looks through, with their sizes in pixels if it asks for some.
-    pub(super) fn cameras(&self) -> Vec<(String, Option<(u32, u32)>)> {
+    pub(super) fn cameras(&self) -> Vec<SizedCamera> {
         match self {
-            Self::Network(outline, _) => {
-                let sizes = outline.recipe.cameras.iter();
-                let sizes = sizes.map(|camera| Some((camera.width, camera.height)));
-                camera_names(&outline.recipe)
-                    .into_iter()
-                    .zip(sizes)
-                    .collect()
-            }
+            Self::Network(outline, _) => sized_cameras(&outline.recipe),
             Self::External(link) => {
                 let names = link.cameras.iter();
                 names.map(|name| (name.clone(), None)).collect()

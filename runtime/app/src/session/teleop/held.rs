@@ -6,7 +6,7 @@ use trocar_log::{RunMark, RunNote};
 use super::alignment::{DEFAULT_ALIGN_DEG, misaligned_deg};
 use super::clutch::{Clutch, Grip, ReleaseCause};
 use super::demonstration::EpisodeCommand;
-use super::latency::{Counts, Transit};
+use super::latency::{Counts, HandDevice, Transit};
 use super::message::Hand;
 use super::status::Recording;
 use super::{Commanded, DEFAULT_SCALE, Driver, STALE_NS};
@@ -118,7 +118,10 @@ impl Held {
             let (grip, misaligned_deg) = self.grip(index, new);
             arm.clutch = arm.clutch.after(grip, &mut self.engagements);
             arm.misaligned_deg = misaligned_deg.filter(|_| arm.clutch == Clutch::Open);
-            self.counts.engagements += self.engagements - before;
+            if self.engagements > before {
+                self.counts.engagements += 1;
+                self.counts.device = Some(self.device(new));
+            }
             arm.hand = Some(*new);
             self.hands[index] = arm;
         }
@@ -129,6 +132,15 @@ impl Held {
 }
 
 impl Held {
+    /// What moves this `hand`.
+    const fn device(&self, hand: &Hand) -> HandDevice {
+        match (self.desk, hand.tracked) {
+            (true, _) => HandDevice::InputDevice,
+            (false, true) => HandDevice::Headset,
+            (false, false) => HandDevice::Page,
+        }
+    }
+
     /// What the `hand` of an arm does with its clutch, and the angle that keeps it from engaging, degrees.
     fn grip(&self, arm: usize, hand: &Hand) -> (Grip, Option<f64>) {
         if !hand.clutch {

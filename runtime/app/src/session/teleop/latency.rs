@@ -56,8 +56,22 @@ pub(super) struct Counts {
     pub(super) engagements: u64,
     /// Engagements that ended by force.
     pub(super) losses: u64,
+    /// What moved the hand that engaged last.
+    pub(super) device: Option<HandDevice>,
     /// What happened beside a policy.
     pub(super) interventions: InterventionSummary,
+}
+
+/// What moves an operator's hand, as far as its messages tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HandDevice {
+    /// Keyboard, mouse, gamepad or SpaceMouse of a page.
+    Page,
+    /// A headset's controller.
+    Headset,
+    /// A device of `--hands`, at the run's own computer.
+    InputDevice,
 }
 
 /// What a run that is moved by hand reports beside the rest.
@@ -80,6 +94,9 @@ pub struct TeleopSummary {
     pub engagements: u64,
     /// How often one was released by force.
     pub forced_releases: u64,
+    /// What moved the hand that engaged last; absent if none did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub device: Option<HandDevice>,
     /// What part of the hand's way the tip made, at the end.
     pub scale: f64,
     /// Within which angle of its instrument a tracked controller engaged, degrees, at the end.
@@ -146,6 +163,7 @@ impl Counts {
             messages: self.messages,
             engagements: self.engagements,
             forced_releases: self.losses,
+            device: self.device,
             scale,
             align_deg,
             interventions: beside_policy.then_some(self.interventions),

@@ -8,7 +8,7 @@
 //!
 //! A hand moves its arm only while it holds the clutch. At each clutch-in, position and orientation start from what the arm is commanded
 //! to be at, so nothing jumps; a controller engages once it is held as its
-//! instrument points (`alignment`). Hands that are not heard of for [`STALE_NS`], a page that goes, is hidden or loses the right to steer, and
+//! instrument points (`alignment`). Hands without input for [`STALE_NS`], a page that goes, is hidden or loses the right to steer, and
 //! anything that makes no sense release the clutch by force (`ReleaseCause`): then the arm holds until the operator has let the clutch go and
 //! takes it again.
 //!
@@ -48,7 +48,7 @@ pub use demonstration::{Demonstration, DemonstrationStep, EpisodeCommand};
 pub(crate) use desk::attend;
 pub(crate) use hands::Hands;
 pub(crate) use intervention::{Intervention, TeleopCommand};
-pub use latency::{FrameAgeMs, InterventionSummary, TeleopSummary};
+pub use latency::{FrameAgeMs, HandDevice, InterventionSummary, TeleopSummary};
 pub(crate) use message::{HandsMessage, HandsMessageError};
 pub use operator::{DELAYS_MS, OperatorFigures, SimulatedOperator, TREMORS_MM};
 pub use source::Teleop;

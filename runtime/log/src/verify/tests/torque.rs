@@ -12,7 +12,7 @@ fn an_arm_without_torque_may_be_anywhere() {
     let result = doctored("limp", |records| {
         for (record, k) in records.iter_mut().zip(0_u32..) {
             make_limp(record);
-            // Somebody pushes it about, far out of its box.
+            // It is pushed by hand, far out of its workspace.
             let state = record.arms.first.measured.as_mut().unwrap();
             state.position[0] += 0.0015 * f64::from(k);
             record.arms.first.command.position = state.position;

@@ -49,6 +49,10 @@ pub(super) struct HandMade {
     pub(super) ends: bool,
     /// What the operator said of it.
     pub(super) said: RunNote,
+    /// What the log calls its policy.
+    pub(super) policy: &'static str,
+    /// What the operator's hands did.
+    pub(super) teleop: Option<&'static str>,
 }
 
 impl Default for HandMade {
@@ -64,6 +68,8 @@ impl Default for HandMade {
             bounded: false,
             ends: true,
             said: RunNote::default(),
+            policy: "runs/act",
+            teleop: None,
         }
     }
 }
@@ -121,7 +127,7 @@ impl HandMade {
         let versions = [("commit", "c0ffee"), ("weights_sha256", "5a")];
         let header = RunHeader {
             task: self.task.to_owned(),
-            policy: "runs/act".to_owned(),
+            policy: self.policy.to_owned(),
             versions: versions
                 .map(|(name, it)| (name.to_owned(), it.to_owned()))
                 .into(),
@@ -143,6 +149,7 @@ impl HandMade {
             reason: "the 1 s are over".to_owned(),
             command_hash: "0123456789abcdef".to_owned(),
             said: self.said.clone(),
+            teleop: self.teleop.map(str::to_owned),
         };
         recorder.finish(self.ends.then_some(&outcome)).unwrap();
         path.to_owned()

@@ -181,6 +181,17 @@ fn a_mark_that_is_not_known_is_refused() {
 }
 
 #[test]
+fn hands_that_cannot_be_read_are_refused() {
+    for text in ["[2]", "{"] {
+        let made = HandMade {
+            teleop: Some(text),
+            ..HandMade::default()
+        };
+        check("hands", &made, &format!("its `teleop` is {text:?}"));
+    }
+}
+
+#[test]
 fn what_is_no_log_is_refused() {
     let folder = Scratch::folder("import-log-none");
     let text = folder.join("a.mcap");

@@ -6,7 +6,7 @@ use trocar_topics::{CameraTopic, FrameSubscriber, SceneReport, Subscriber, Topic
 use super::super::scene_topics::WorldTopics;
 use crate::rt::{self, MonotonicClock};
 use crate::session::SessionError;
-use crate::session::source::STEP_NS;
+use crate::session::source::{STEP_NS, SizedCamera};
 use hal::TimeNs;
 
 /// A world shows itself every 40 ms; one that has not done so for this long is not there, ns.
@@ -178,14 +178,11 @@ pub(super) fn still_there(
     Ok(())
 }
 
-/// A camera by name, and its size in pixels if one is asked for.
-pub(in super::super) type Wanted = (String, Option<(u32, u32)>);
-
 /// Waits for a frame of now of each of the cameras `wanted`, which must have the size that is asked for, if any is, on `topics`, where for example
 /// `publisher` would show it. Any `clock` will do. `meanwhile` is done again and again.
 pub(in super::super) fn cameras(
     node: &TopicNode,
-    wanted: &[Wanted],
+    wanted: &[SizedCamera],
     clock: MonotonicClock,
     (topics, publisher): (&str, &str),
     (say, meanwhile): (PrintLine<'_>, &mut dyn FnMut() -> Result<(), SessionError>),

@@ -55,7 +55,7 @@ use conclude::{Seen, conclude};
 use scene_thread::{SceneThread, frames};
 
 pub use awaited::PrintLine;
-pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS, Wanted, cameras};
+pub(super) use awaited::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, PATIENCE_NS, cameras};
 pub(super) use bus_log::BusLog;
 pub(super) use happened::CanEventLog;
 pub use options::CanOptions;

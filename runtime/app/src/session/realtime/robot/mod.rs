@@ -1,7 +1,8 @@
-//! A robot in real time: limits and a policy, neither task nor verdict. Its arms are behind anyone's rig ([`run_rig`]), on CAN
-//! ([`run_robot_on_can`](super::run_robot_on_can)) or led by another process ([`run_robot_on_topics`](super::run_robot_on_topics)).
+//! A robot in real time: limits and a policy, neither task nor verdict. Its arms are behind anyone's rig ([`run_rig`], [`run_rig_seeing`]), on CAN
+//! ([`run_robot_on_can`](super::run_robot_on_can)) or in another process ([`run_robot_on_topics`](super::run_robot_on_topics)).
 
 mod own_rig;
+mod queries;
 mod scene;
 mod sight;
 mod thread;
@@ -9,7 +10,7 @@ mod thread;
 #[cfg(test)]
 mod tests;
 
-pub use own_rig::run_rig;
+pub use own_rig::{RigCameras, run_rig, run_rig_seeing};
 pub(super) use scene::ArmsScene;
 pub(super) use thread::{RobotEnd, RobotThread};
 

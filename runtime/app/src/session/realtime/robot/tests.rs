@@ -19,8 +19,7 @@ use trocar_log::replay::replay;
 use trocar_log::verify::verify;
 use trocar_topics::{CameraTopic, FrameHeader, FramePublisher, TopicNode};
 
-use super::RobotOptions;
-use super::own_rig::run_seeing;
+use super::{RigCameras, RobotOptions, run_rig_seeing};
 use crate::rt::{self, MonotonicClock, Periodic, RtOptions, RtProfile};
 use crate::session::changes::Changes;
 use crate::session::source::{ChunkSource, STEP_NS};
@@ -233,18 +232,16 @@ fn run_with(fails: Fails, log: &Path) -> (String, TimeNs) {
     };
     let clock = MonotonicClock::new();
     let topics = format!("test-{}-live-{fails:?}", std::process::id());
-    let node = TopicNode::join(&topics).unwrap();
     let (failed, ends) = (AtomicU64::new(0), AtomicBool::new(false));
     let result = thread::scope(|scope| {
         scope.spawn(|| plays(fails, &topics, clock, (&failed, &ends)));
-        let mut camera = CameraTopic::subscriber(&node, CAMERA).unwrap();
-        while camera.newest().unwrap().is_none() {
-            rt::sleep_ns(TICK_NS);
-        }
-        let source = ChunkSource::policy(Box::<Swings>::default(), Vec::new(), 5);
-        let rig = (Follows::new(clock), clock);
-        let cameras = vec![(CAMERA.to_owned(), camera)];
-        let result = run_seeing(&plan, rig, source, &RobotOptions::default(), cameras);
+        let source = ChunkSource::policy(Box::<Swings>::default(), vec![CAMERA.to_owned()], 5);
+        let asked = RobotOptions::default();
+        let cameras = RigCameras::wait(&topics, &source, &asked, &|_| ());
+        let result = cameras.and_then(|cameras| {
+            let rig = (Follows::new(clock), clock);
+            run_rig_seeing(&plan, rig, source, &asked, cameras)
+        });
         ends.store(true, Ordering::Release);
         result.unwrap()
     });

@@ -1,4 +1,5 @@
-//! What a policy sees of a robot: the arms as they were when a camera took its frame, or every policy step if it looks at none.
+//! What a policy sees of a robot: the arms as they were when its first camera took a frame, and frames of all its cameras; or the arms alone, every
+//! policy step, if it looks at none.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -9,9 +10,11 @@ use trocar_topics::{ArmReport, Events, Publisher};
 
 use super::super::by_hand::ByHand;
 use super::super::channels::{Local, ObserverChannels};
+use super::super::observed::StepKind;
 use super::super::remote_arms::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
 use super::super::shown::CameraPages;
-use super::super::signals::EndRunOnDrop;
+use super::super::signals::{EndRunOnDrop, Signals};
+use super::queries::Queries;
 use super::sight::{CameraMonitor, Rules};
 use super::{ArmsScene, RobotOptions};
 use crate::histogram::Histogram;
@@ -155,7 +158,8 @@ impl RobotThread {
             as_asked: false,
             inference: Histogram::new(),
         };
-        let (mut first, mut observed): (_, Option<(TimeNs, u64)>) = (None, None);
+        let mut queries = Queries::of(self.local.as_ref().map(|(source, _)| source));
+        let (mut first, mut observed): (_, Option<TimeNs>) = (None, None);
         self.sight.begin(self.seen.clock.now());
         while !signals.stopped() {
             self.tell();
@@ -167,40 +171,22 @@ impl RobotThread {
                     by_hand.look(&states, now, &signals)?;
                 }
             }
-            let frame = self.newest_frame()?;
+            let frame = self.newest_frame(&mut queries)?;
             let begun = first.or_else(|| self.past.begins());
             if let Some(begun) = begun {
                 first = Some(begun);
                 let at = if self.is_blind() { Some(now) } else { frame };
-                let step = at
-                    .filter(|at| *at >= begun)
-                    .map(|at| at.since(begun) / STEP_NS);
-                if let (Some(at), Some(step)) = (at, step)
-                    && observed.is_none_or(|(last, _)| last < at)
-                    && !signals.done()
-                {
-                    let fresh = observed.is_none_or(|(_, last)| last < step);
-                    observed = Some((at, step));
+                let at = at.filter(|at| *at >= begun && observed.is_none_or(|last| last < *at));
+                if let Some(at) = at.filter(|_| !signals.done()) {
+                    observed = Some(at);
+                    let step = at.since(begun) / STEP_NS;
+                    queries.begin(step, at);
                     self.report(step, at)?;
-                    if fresh {
-                        self.ask(step, at, &mut end.inference)?;
-                    }
                 }
-                let up = self
-                    .limit_ns
-                    .is_some_and(|limit_ns| now.since(begun) >= limit_ns);
-                let blind = self.sight.judge(now, &signals);
-                if (up || blind.is_some()) && !signals.done() {
-                    end.as_asked = up;
-                    end.ended_by = Some(match blind.filter(|_| !up) {
-                        Some(reason) => reason,
-                        None => {
-                            let limit_s = self.limit_ns.map_or(0.0, |ns| TimeNs(ns).seconds());
-                            format!("the {limit_s} s are over")
-                        }
-                    });
-                    signals.end_run();
+                if !signals.done() {
+                    self.ask(&mut queries, &mut end.inference)?;
                 }
+                self.end_in_time((begun, now), &signals, &mut end);
             } else {
                 self.sight.begin(now);
             }
@@ -216,6 +202,32 @@ impl RobotThread {
         Ok(end)
     }
 
+    /// Ends the run, which has `begun`, if its time is up or a camera that the policy needs is gone.
+    fn end_in_time(
+        &mut self,
+        (begun, now): (TimeNs, TimeNs),
+        signals: &Signals,
+        end: &mut RobotEnd,
+    ) {
+        let up = self
+            .limit_ns
+            .is_some_and(|limit_ns| now.since(begun) >= limit_ns);
+        let blind = self.sight.judge(now, signals);
+        let due = up || blind.is_some();
+        if !due || signals.done() {
+            return;
+        }
+        end.as_asked = up;
+        end.ended_by = Some(match blind.filter(|_| !up) {
+            Some(reason) => reason,
+            None => {
+                let limit_s = self.limit_ns.map_or(0.0, |ns| TimeNs(ns).seconds());
+                format!("the {limit_s} s are over")
+            }
+        });
+        signals.end_run();
+    }
+
     /// Whether the policy goes by no camera's frames; those of an operator beside it are none of its.
     fn is_blind(&self) -> bool {
         let sees = |(source, _): &(ChunkSource, _)| !source.cameras().is_empty();
@@ -223,8 +235,8 @@ impl RobotThread {
         beside || self.sight.is_blind()
     }
 
-    /// Keeps what cameras show in the log; when the newest frame of the policy's first camera was taken, if there is a new one.
-    fn newest_frame(&mut self) -> Result<Option<TimeNs>, SessionError> {
+    /// Keeps what cameras show in the log and for `queries`; when the newest frame of the policy's first camera was taken, if there is a new one.
+    fn newest_frame(&mut self, queries: &mut Queries) -> Result<Option<TimeNs>, SessionError> {
         let mut taken = None;
         for (index, (name, topic)) in self.cameras.iter_mut().enumerate() {
             let Some(view) = topic.newest()? else {
@@ -256,6 +268,7 @@ impl RobotThread {
             if let Some(log) = &mut self.seen.log {
                 log.frame(name, &logged(&view, &self.seen.clock));
             }
+            queries.saw(index, view);
         }
         Ok(taken)
     }
@@ -298,29 +311,38 @@ impl RobotThread {
         Ok(())
     }
 
-    /// A policy step of a policy of this process: the arms as they were `at` that instant.
+    /// Shows a policy of this process the newest instant once all that it sees of it is there, the arms as they were then among it.
     fn ask(
         &mut self,
-        step: u64,
-        at: TimeNs,
+        queries: &mut Queries,
         inference: &mut Histogram,
     ) -> Result<(), SessionError> {
+        let clock = self.seen.clock;
+        let (Some((source, chunks)), Some(at)) = (&mut self.local, queries.at()) else {
+            return Ok(());
+        };
         let Some(states) = self.past.at(at) else {
             return Ok(());
         };
-        if let Some((source, chunks)) = &mut self.local
-            && step.is_multiple_of(source.query_every_steps())
-        {
-            let query = Query {
-                arms: states.map(|state| seen_at(&state, at)),
-                frames: &[],
-                scene: None,
-            };
-            let before = self.seen.clock.now();
-            let answer = source.answer(&query)?;
-            inference.record(self.seen.clock.now().since(before));
-            // The control thread takes one a tick; a full queue means that it is gone.
-            let _gone = chunks.push(answer);
+        let arms = states.map(|state| seen_at(&state, at));
+        let Some((kind, frames)) = queries.take(clock) else {
+            return Ok(());
+        };
+        match kind {
+            StepKind::Skip => {}
+            StepKind::Observe => source.observe(&arms, &frames)?,
+            StepKind::Query => {
+                let query = Query {
+                    arms,
+                    frames: &frames,
+                    scene: None,
+                };
+                let before = clock.now();
+                let answer = source.answer(&query)?;
+                inference.record(clock.now().since(before));
+                // The control thread takes one a tick; a full queue means that it is gone.
+                let _gone = chunks.push(answer);
+            }
         }
         Ok(())
     }

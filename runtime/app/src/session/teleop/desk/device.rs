@@ -61,12 +61,16 @@ pub(super) enum ButtonAction {
     OtherArm,
     /// What is to become of the demonstration.
     EpisodeCommand(EpisodeCommand),
+    /// The policy gets the arms back.
+    HandBack,
 }
 
-const PRESSES: [(Key, ButtonAction); 11] = [
+const PRESSES: [(Key, ButtonAction); 13] = [
     (Key::KEY_1, ButtonAction::Arm(0)),
     (Key::KEY_2, ButtonAction::Arm(1)),
     (Key::BTN_WEST, ButtonAction::OtherArm),
+    (Key::KEY_B, ButtonAction::HandBack),
+    (Key::BTN_TR, ButtonAction::HandBack),
     (
         Key::KEY_G,
         ButtonAction::EpisodeCommand(EpisodeCommand::Start),

@@ -148,6 +148,10 @@ impl InputDevices {
                 let _none = self.hands.wish(wish);
                 return;
             }
+            Some(ButtonAction::HandBack) => {
+                let _none = self.hands.hand_back();
+                return;
+            }
             None => return,
         };
         // A clutch that is held is that of the arm before.

@@ -10,7 +10,7 @@ use super::device::{ButtonAction, Device};
 use super::events::{Event, Source};
 use super::hand::{DeviceAxes, VirtualHand};
 use super::{Hands, InputDevices};
-use crate::session::teleop::EpisodeCommand;
+use crate::session::teleop::{Driver, EpisodeCommand};
 
 const SYN: Event = Event {
     kind: 0,
@@ -128,6 +128,10 @@ fn a_gamepad_asks_by_its_sticks() {
         device.take(key(Key::BTN_WEST, 1), ms(0)),
         Some(ButtonAction::OtherArm)
     );
+    assert_eq!(
+        device.take(key(Key::BTN_TR, 1), ms(0)),
+        Some(ButtonAction::HandBack)
+    );
 }
 
 /// A cap's axes are x to the right, y towards the person, z down; one that says nothing for long is let go of.
@@ -207,4 +211,33 @@ fn each_device_has_its_arm() {
     assert_eq!((desk.arm_of(0, 1), desk.arm_of(0, 2)), (0, 1));
     desk.devices.push(Some(Device::default()));
     assert_eq!((desk.arm_of(0, 2), desk.arm_of(1, 2)), (0, 1));
+}
+
+/// Beside a policy whoever takes the clutch drives; B hands back, and the clutch has to be taken anew.
+#[test]
+fn a_key_hands_back_to_the_policy() {
+    let hands = Arc::new(Hands::new());
+    hands.begin(1, false);
+    hands.beside_policy();
+    let mut desk = InputDevices::new(Arc::clone(&hands));
+    desk.devices = vec![Some(Device::default())];
+    let drives = |desk: &mut InputDevices, events: &[Event]| {
+        for event in events {
+            desk.take(0, *event);
+        }
+        desk.tell();
+        hands.driver(true)
+    };
+    let (policy, operator) = (Some(Driver::Policy), Some(Driver::Operator));
+    assert_eq!(drives(&mut desk, &[]), policy);
+    assert_eq!(drives(&mut desk, &[key(Key::KEY_F, 1)]), operator);
+    // An open hand holds the arms.
+    assert_eq!(drives(&mut desk, &[key(Key::KEY_F, 0)]), operator);
+    assert_eq!(drives(&mut desk, &[key(Key::KEY_F, 1)]), operator);
+    assert_eq!(drives(&mut desk, &[key(Key::KEY_B, 1)]), policy);
+    assert_eq!(drives(&mut desk, &[]), policy, "the clutch is still held");
+    assert_eq!(drives(&mut desk, &[key(Key::KEY_F, 0)]), policy);
+    assert_eq!(drives(&mut desk, &[key(Key::KEY_F, 1)]), operator);
+    let counts = hands.summary().interventions.unwrap();
+    assert_eq!((counts.taken_over, counts.handed_back), (2, 1));
 }

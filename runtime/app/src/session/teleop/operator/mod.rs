@@ -92,10 +92,11 @@ impl SimulatedOperator {
         self.plan.expert.attempts()
     }
 
-    /// What the hands did; their latency is none, since virtual time stands still meanwhile.
+    /// What the hands did; their latency is none, since virtual time stands still meanwhile, and so is their device.
     pub(crate) fn summary(&self) -> TeleopSummary {
         TeleopSummary {
             hand_to_command_ms: None,
+            device: None,
             ..self.hands.summary()
         }
     }

@@ -36,11 +36,14 @@ fn a_misaligned_controller_engages_once_it_is_aligned() {
         assert_eq!(misaligned_deg(&bench), Some(told), "{degrees}");
         assert!(!bench.hands.status().unwrap().arms[0].engaged);
     }
-    assert_eq!(bench.hands.summary().engagements, 0);
+    let counted = bench.hands.summary();
+    assert_eq!((counted.engagements, counted.device), (0, None));
     let aligned = controller(&bench, [0.0, 29.5_f64.to_radians(), 0.0], 0.0);
     assert!(near(&bench.hand(aligned), &tip), "no jump");
     assert_eq!(misaligned_deg(&bench), None);
-    assert_eq!(bench.hands.summary().engagements, 1);
+    let counted = bench.hands.summary();
+    let headset = Some(HandDevice::Headset);
+    assert_eq!((counted.engagements, counted.device), (1, headset));
     let turned = bench.hand(controller(&bench, [0.0, 40.0_f64.to_radians(), 0.0], 0.0));
     let (turned, tip) = (turned.tip_in_rcm().rotation, tip.tip_in_rcm().rotation);
     let angle = turned.angle_to(&tip).to_degrees();

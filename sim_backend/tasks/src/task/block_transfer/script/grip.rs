@@ -18,7 +18,7 @@ const SLANT_M: f64 = 0.000_4;
 const SPARE_M: f64 = 0.000_5;
 
 /// Which wall is gripped: its side of the block, 0 to 2.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Grip {
     side: u32,
 }

@@ -170,12 +170,20 @@ impl Hand<Mover> {
         }
     }
 
+    /// The chosen wall.
+    #[expect(
+        clippy::expect_used,
+        reason = "the first motion begins with the choice, and nothing comes before it"
+    )]
+    fn grip(&self) -> Grip {
+        self.part.grip.expect("a motion has begun")
+    }
+
     /// The pose in which closing the jaw grips the chosen wall.
     fn grasp_pose(&self, view: &View) -> Pose {
-        let grip = self.part.grip.unwrap_or_default();
         let (along_m, depth_m) = (self.style.along_m, self.style.depth_m);
         self.gripping()
-            .tip_pose(grip, &view.thing, along_m, depth_m)
+            .tip_pose(self.grip(), &view.thing, along_m, depth_m)
     }
 
     /// The pose to wait in above the block.
@@ -194,10 +202,10 @@ impl Hand<Mover> {
     }
 
     fn bringing(&self, view: &View, bottom_m: f64) -> Pose {
-        let grip = self.part.grip.unwrap_or_default();
-        let wanted =
-            self.gripping()
-                .placed(grip, &view.thing, &view.goal.translation.vector, bottom_m);
+        let goal = &view.goal.translation.vector;
+        let wanted = self
+            .gripping()
+            .placed(self.grip(), &view.thing, goal, bottom_m);
         wanted * view.thing.inv_mul(&view.arm.tip)
     }
 
