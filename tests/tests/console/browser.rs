@@ -177,6 +177,41 @@ fn looks_at_the_scene(browser: &mut Browser) {
     browser.evaluate("document.activeElement.blur(); scrollTo(0, 0)");
 }
 
+/// Beside 125 messages of hands a second the page acknowledges at most 40 times, though 200 messages come, and leaves fewer than the 8 open
+/// that the run has on their way; where few come it acknowledges every second one.
+fn acknowledges_within_its_bound(browser: &mut Browser) {
+    for (every_ms, counts) in [(5, [40, 4]), (20, [25, 1]), (1, [167, 5])] {
+        let found = browser.evaluate(&ACKNOWLEDGED.replace("EVERY_MS", &every_ms.to_string()));
+        assert_eq!(found, serde_json::json!(counts), "{every_ms} ms");
+    }
+}
+
+/// How often the page's connection acknowledges in a second in which a message comes so often, and how many are open at most after one.
+const ACKNOWLEDGED: &str = r#"(async () => {
+  const { Connection } = await import('/connection.js');
+  const real = window.WebSocket;
+  let [now, socket, times, open, most] = [0, null, 0, 0, 0];
+  window.WebSocket = class {
+    static OPEN = 1;
+    readyState = 1;
+    constructor() { socket = this; }
+    send(text) {
+      times += 1;
+      open -= JSON.parse(text).seen;
+    }
+  };
+  performance.now = () => now;
+  new Connection({ text() {}, change() {} });
+  for (now = EVERY_MS; now <= 1000; now += EVERY_MS) {
+    open += 1;
+    socket.onmessage({ data: '{"kind":"state"}' });
+    most = Math.max(most, open);
+  }
+  delete performance.now;
+  window.WebSocket = real;
+  return [times, most];
+})()"#;
+
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_shows_and_steers_a_run() {
@@ -207,6 +242,7 @@ fn the_page_shows_and_steers_a_run() {
     browser.wait_until("Number(document.querySelector('#scene-view').dataset.paths) > 5");
     looks_at_the_scene(&mut browser);
     looks_right(&mut browser, "run");
+    acknowledges_within_its_bound(&mut browser);
 
     // Also while the slider has the focus, as it has after it was moved.
     browser.evaluate("document.querySelector('#speed').focus()");
