@@ -105,10 +105,11 @@ test-console: setup setup-browser checked
 test-anatomy-short: setup setup-anatomy checked
 	TROCAR=$(TROCAR_CHECKED) target/anatomy/bin/python -B tests/scripts/anatomy.py --short target/scratch/anatomy-short
 
-# The same of a larger one, and foreign stages, a DICOM series, label volumes of others; the crate's tests. Not part of `make test`.
+# The same of a larger one, and foreign stages, a DICOM series, label volumes of others; the crate's tests, a thousand phantoms and the
+# meshes of twenty among them. Not part of `make test`.
 test-anatomy: setup checked
 	@.ci/setup-anatomy.sh others
-	$(CARGO) test -p trocar-anatomy
+	$(CARGO) test -p trocar-anatomy -- --include-ignored
 	TROCAR=$(TROCAR_CHECKED) target/anatomy/bin/python -B tests/scripts/anatomy.py target/scratch/anatomy
 
 # The Slurm array script on a cluster of this one machine: installs slurm-wlm, needs root, and is no part of `make test`.

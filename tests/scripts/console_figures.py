@@ -6,12 +6,14 @@
 The parts, all of them if none is named: `frames` (pictures a second with one and with five pages, and while a hand steers; camera to page; hand
 to command), `timing` (the control thread's tick and wake-up in one run, first without a page and then with five, from its log, for which `zstd`
 has to be there), `mutated` (so many broken messages of the page that steers, between whole ones whose clutch is open; how many are refused, resident
-memory, engagements, and what `verify` says of the log, on which the exit code depends). Pages are WebSocket clients that take what they are sent and
+memory, engagements, by how much the tip moved at most while the clutch was open, by the log, for which `zstd` has to be there, and what `verify` says of
+the log, on which the exit code depends). Pages are WebSocket clients that take what they are sent and
 draw nothing.
 """
 
 import argparse
 import json
+import math
 import os
 import random
 import re
@@ -22,6 +24,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 # What a broken message was made of; {t} is the page's time, ms.
@@ -217,6 +220,91 @@ def percentiles(values: list[int]) -> str:
     return f"p50 {at[0]:.1f}, p99 {at[1]:.1f} us"
 
 
+def records(log: Path) -> Iterator[tuple[int, bytes]]:
+    """The records in an MCAP file's chunks, each with its kind, a chunk at a time."""
+    with log.open("rb") as file:
+        file.seek(8)
+        while len(head := file.read(9)) == 9:
+            kind, size = struct.unpack("<BQ", head)
+            if kind != 6:
+                file.seek(size, os.SEEK_CUR)
+                continue
+            chunk = file.read(size)
+            (name,) = struct.unpack_from("<I", chunk, 28)
+            data = chunk[32 + name + 8 :]
+            if name:
+                data = subprocess.run(["zstd", "-dc"], input=data, stdout=subprocess.PIPE, check=True).stdout
+            at = 0
+            while at + 9 <= len(data):
+                kind, size = struct.unpack_from("<BQ", data, at)
+                yield kind, data[at + 9 : at + 9 + size]
+                at += 9 + size
+
+
+def fields(message: bytes) -> Iterator[tuple[int, int | float | bytes]]:
+    """The fields of a protobuf message, with their numbers."""
+    at = 0
+
+    def varint() -> int:
+        nonlocal at
+        value = shift = 0
+        while True:
+            byte = message[at]
+            value, shift, at = value | (byte & 127) << shift, shift + 7, at + 1
+            if byte < 128:
+                return value
+
+    while at < len(message):
+        number, form = divmod(varint(), 8)
+        if form == 0:
+            yield number, varint()
+        elif form == 1:
+            yield number, struct.unpack_from("<d", message, at)[0]
+            at += 8
+        elif form == 5:
+            yield number, struct.unpack_from("<I", message, at)[0]
+            at += 4
+        else:
+            size = varint()
+            yield number, message[at : at + size]
+            at += size
+
+
+def told(log: Path, topics: list[str]) -> Iterator[tuple[str, float, dict]]:
+    """The messages of these topics: topic, seconds, and the last field of each number."""
+    channels = {}
+    for kind, data in records(log):
+        if kind == 4:
+            channel, _schema, size = struct.unpack_from("<HHI", data)
+            channels[channel] = data[8 : 8 + size].decode()
+        elif kind == 5:
+            channel, _sequence, at_ns = struct.unpack_from("<HIQ", data)
+            if (topic := channels[channel]) in topics:
+                yield topic, at_ns * 1e-9, dict(fields(data[22:]))
+
+
+def ways_mm(log: Path, since: float, until: float) -> tuple[list[float], list[float]]:
+    """How far the measured tip was, at each tick in which no hand was engaged, from where it was as the clutch was opened last, and at each tick from
+    where it was at first, mm."""
+    engaged, opened, first = False, None, None
+    while_open, all_ways = [], []
+    # Events reach the log a little later than ticks.
+    for topic, seconds, message in sorted(told(log, ["/events", "/psm1/measured_cp"]), key=lambda it: it[1]):
+        if topic == "/events":
+            text = message.get(3, b"").decode()
+            if text.startswith("psm1: the operator"):
+                engaged, opened = text.endswith("hand engaged"), None
+        elif since < seconds < until:
+            place = dict(fields(dict(fields(message[3]))[1]))
+            tip = [place.get(axis, 0.0) for axis in (1, 2, 3)]
+            first = first or tip
+            all_ways.append(1e3 * math.dist(first, tip))
+            if not engaged:
+                opened = opened or tip
+                while_open.append(1e3 * math.dist(opened, tip))
+    return while_open, all_ways
+
+
 def chunks(log: bytes) -> bytes:
     """The records of an MCAP file's chunks."""
     at, packed = 8, []
@@ -310,6 +398,9 @@ def break_messages(args: argparse.Namespace) -> None:
     watcher = Watcher(run)
     while not any(arm["state"] == "ENABLED" for arm in watcher.state.get("arms", [])):
         time.sleep(0.01)
+    # The arm rests.
+    time.sleep(2)
+    since = watcher.state["seconds"]
     before, most, sent, unparsed, refused, away = run.rss_mb(), 0.0, 0, 0, 0, 0
     while sent < args.mutated:
         breaker = Breaker(run)
@@ -326,7 +417,7 @@ def break_messages(args: argparse.Namespace) -> None:
         breaker.page.close()
         unparsed, refused, away = unparsed + breaker.unparsed, refused + breaker.refused, away + (not breaker.answered)
         most = max(most, run.rss_mb())
-    after = run.rss_mb()
+    after, until = run.rss_mb(), watcher.state["seconds"]
     page = Page(run.port, run.token)
     page.say({"command": "stop"})
     teleop = run.end()["teleop"]
@@ -335,6 +426,8 @@ def break_messages(args: argparse.Namespace) -> None:
     print(f"{sent} broken messages, {sent - unparsed} parsed; with as many whole ones {refused} refused for what they say; {away} pages sent away")
     print(f"resident memory: {before:.0f} MB before, {after:.0f} after, {most:.0f} at most")
     print(f"engagements {teleop['engagements']}; verify {verified.returncode}: {verified.stdout.strip().splitlines()[0]}")
+    while_open, ways = ways_mm(run.log, since, until)
+    print(f"the tip: {max(while_open):.4f} mm at most while the clutch is open ({len(while_open)} ticks), {max(ways):.4f} mm from where it was at first")
     if verified.returncode:
         sys.exit(1)
 

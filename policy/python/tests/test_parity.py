@@ -1,4 +1,4 @@
-"""The same chunks make the same commands, bit for bit: those of a policy of the program, served from here, and those of an environment."""
+"""The same chunks make the same commands, bit for bit: a policy's of the program, served from here, and an environment's own, served from here."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
 //! The controller's configuration: `config/control.toml` and a task's `safety.toml`, parsed once and checked once.
 
+mod lag;
 mod scene;
 mod sections;
 
@@ -11,10 +12,9 @@ use super::gate::GateLimits;
 use super::motion::{AXES, AxisLimits};
 use super::region::{Block, Region};
 use super::schema::ControlFile;
+use lag::{FingerSpeeds, check_tick};
 use scene::{Scene, check_reach, scene};
-use sections::{
-    aggregation, axes, check_fault, check_tick, filter, gate, nanoseconds, supervision,
-};
+use sections::{aggregation, axes, check_fault, filter, gate, nanoseconds, supervision};
 
 /// Most forbidden regions of a task.
 pub const FORBIDDEN_MAX: usize = 8;
@@ -170,7 +170,8 @@ impl ControlConfig {
             0.001,
             0.2,
         )?;
-        check_tick(safety, &margins, speed, turn, &axes)?;
+        let finger_speeds = FingerSpeeds::new(speed, turn, &axes, &arms);
+        check_tick(safety, &margins, &finger_speeds)?;
         check_reach(safety, &arms, &axes)?;
         check_fault(control, &file)?;
         Ok(Self {
@@ -268,51 +269,6 @@ mod tests {
         let frozen =
             |s: &str| message("\nrestarts = 0", &format!("\nrestarts = 0\nfrozen_s = {s}"));
         assert!(frozen("0.001").contains("policy.frozen_s = 0.001 is outside [0.1, 3600]"));
-    }
-
-    #[test]
-    fn a_margin_within_which_a_tick_leads_is_refused() {
-        let fast = ControlConfig::default_control();
-        let fast = fast
-            .text()
-            .replace("tip_speed_m_s = 0.08", "tip_speed_m_s = 0.5");
-        let fast = Source::embedded("control.toml", &fast);
-        let safety = ControlConfig::needle_lift_safety();
-        let thin = safety
-            .text()
-            .replace("guard_m = 0.0003", "guard_m = 0.0001");
-        let thin = Source::embedded("safety.toml", &thin);
-        let error = ControlConfig::load(&fast, &thin).unwrap_err().to_string();
-        assert!(
-            error.contains("margins.guard_m = 0.0001 is outside [0.00028"),
-            "{error}"
-        );
-        assert!(ControlConfig::load(&ControlConfig::default_control(), &thin).is_ok());
-    }
-
-    #[test]
-    fn limits_at_which_an_arm_lags_beyond_its_margin_are_refused() {
-        let loaded = |speed: &str, filter_m: &str| {
-            let control = ControlConfig::default_control();
-            let control = control.text().replace("tip_speed_m_s = 0.08", speed);
-            let safety = ControlConfig::needle_lift_safety();
-            let safety = safety.text().replace("filter_m = 0.0015", filter_m);
-            ControlConfig::load(
-                &Source::embedded("control.toml", &control),
-                &Source::embedded("safety.toml", &safety),
-            )
-            .map_or_else(|error| error.to_string(), |_| "loaded".to_owned())
-        };
-        let raised = "tip_speed_m_s = 0.45";
-        let said = loaded(raised, "filter_m = 0.0015");
-        assert!(
-            said.contains("margins.filter_m = 0.0015 is outside at least 0.00234")
-                && said.contains("2.04 mm that a finger is behind"),
-            "{said}"
-        );
-        assert_eq!(loaded(raised, "filter_m = 0.0024"), "loaded");
-        let thin = loaded("tip_speed_m_s = 0.08", "filter_m = 0.0004");
-        assert!(thin.contains("margins.filter_m = 0.0004"), "{thin}");
     }
 
     #[test]

@@ -290,7 +290,7 @@ impl View {
             intrinsics: config.intrinsics(),
             camera_in_mount: look_at(eye, target, Vector3::from(config.up)),
             carrier: config.carrier(),
-            optics: Optics::CLEAN,
+            optics: config.optics(),
         }
     }
 

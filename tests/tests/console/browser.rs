@@ -7,7 +7,8 @@ use crate::devtools::{Browser, Proxy};
 use crate::log::as_if_on_can;
 use crate::run::{SLOW_MOTION, Served, made_log};
 
-/// Texts whose contrast with what is behind them is below WCAG's AA (4.5, or 3 where they are large), disabled controls apart.
+/// Texts and placeholders whose contrast with what is behind them is below WCAG's AA (4.5, or 3 where they are large), and fields and ends of
+/// meters whose borders' contrast with either side is below 3; disabled controls apart.
 const LOW_CONTRAST: &str = r"(() => {
   const rgb = (text) => text.match(/[\d.]+/g).map(Number);
   const light = ([r, g, b]) => {
@@ -21,15 +22,41 @@ const LOW_CONTRAST: &str = r"(() => {
     }
     return [255, 255, 255];
   };
+  const contrast = (...both) => {
+    const [a, b] = both.map(light).sort((x, y) => y - x);
+    return (a + 0.05) / (b + 0.05);
+  };
+  const seen = (node) => node.getClientRects().length > 0 && !node.closest(':disabled, .visually-hidden, option');
   const low = [];
+  const tell = (node, what, ratio, least) => {
+    if (!(ratio >= least)) low.push(`${node.tagName} ${node.className} ${what} ${ratio.toFixed(2)}`);
+  };
   for (const node of document.querySelectorAll('body *')) {
     const own = [...node.childNodes].some((child) => child.nodeType === 3 && child.data.trim());
-    if (!own || !node.getClientRects().length || node.closest(':disabled, .visually-hidden, option')) continue;
+    if (!own || !seen(node)) continue;
     const style = getComputedStyle(node);
-    const [a, b] = [light(rgb(style.color)), light(behind(node))].sort((x, y) => y - x);
-    const ratio = (a + 0.05) / (b + 0.05);
     const large = parseFloat(style.fontSize) >= 24 || (parseFloat(style.fontSize) >= 18.66 && style.fontWeight >= 700);
-    if (ratio < (large ? 3 : 4.5)) low.push(`${node.tagName} ${node.className} '${node.textContent.slice(0, 30)}' ${ratio.toFixed(2)}`);
+    tell(node, `'${node.textContent.slice(0, 30)}'`, contrast(rgb(style.color), behind(node)), large ? 3 : 4.5);
+  }
+  for (const node of document.querySelectorAll('[placeholder]')) {
+    if (!seen(node)) continue;
+    const style = getComputedStyle(node, '::placeholder');
+    const back = behind(node);
+    const [r, g, b, alpha = 1] = rgb(style.color);
+    const share = alpha * style.opacity;
+    const mixed = [r, g, b].map((channel, i) => share * channel + (1 - share) * back[i]);
+    tell(node, `'${node.placeholder}'`, contrast(mixed, back), 4.5);
+  }
+  for (const node of document.querySelectorAll('input[type=text], select, .meter')) {
+    if (!seen(node)) continue;
+    const style = getComputedStyle(node);
+    for (const side of node.matches('.meter') ? ['left', 'right'] : ['left', 'right', 'top', 'bottom']) {
+      const drawn = parseFloat(style.getPropertyValue(`border-${side}-width`)) >= 1;
+      const edge = drawn ? rgb(style.getPropertyValue(`border-${side}-color`)) : behind(node);
+      // Without a border it is the field itself that is seen against the panel.
+      const sides = drawn ? [node, node.parentElement] : [node.parentElement];
+      tell(node, `${side} edge`, Math.min(...sides.map((at) => contrast(edge, behind(at)))), 3);
+    }
   }
   return low;
 })()";
@@ -76,6 +103,27 @@ pub(crate) fn looks_right(browser: &mut Browser, name: &str) {
     }
     browser.look(1280, "light");
 }
+
+/// The check finds pale placeholders, pale borders of fields and meters without ends on a page that has placeholders, fields and meters.
+pub(crate) fn finds_what_is_faint(browser: &mut Browser) {
+    browser.evaluate(FAINT);
+    let found = browser.evaluate(LOW_CONTRAST);
+    let found = found.as_array().unwrap();
+    for what in ["'kept with", "INPUT  left edge", "DIV meter"] {
+        let is_found = found
+            .iter()
+            .any(|text| text.as_str().unwrap().contains(what));
+        assert!(is_found, "{what}: {found:?}");
+    }
+    browser.evaluate("document.adoptedStyleSheets = [], true");
+    assert_eq!(browser.evaluate(LOW_CONTRAST), serde_json::json!([]));
+}
+
+const FAINT: &str = "(() => {
+  const sheet = new CSSStyleSheet();
+  sheet.replaceSync('input::placeholder { opacity: 0.6 } input[type=text] { border-color: var(--line) } .meter { border-width: 0 }');
+  document.adoptedStyleSheets = [sheet];
+})()";
 
 fn number(value: &Value) -> f64 {
     value
@@ -129,6 +177,41 @@ fn looks_at_the_scene(browser: &mut Browser) {
     browser.evaluate("document.activeElement.blur(); scrollTo(0, 0)");
 }
 
+/// Beside 125 messages of hands a second the page acknowledges at most 40 times, though 200 messages come, and leaves fewer than the 8 open
+/// that the run has on their way; where few come it acknowledges every second one.
+fn acknowledges_within_its_bound(browser: &mut Browser) {
+    for (every_ms, counts) in [(5, [40, 4]), (20, [25, 1]), (1, [167, 5])] {
+        let found = browser.evaluate(&ACKNOWLEDGED.replace("EVERY_MS", &every_ms.to_string()));
+        assert_eq!(found, serde_json::json!(counts), "{every_ms} ms");
+    }
+}
+
+/// How often the page's connection acknowledges in a second in which a message comes so often, and how many are open at most after one.
+const ACKNOWLEDGED: &str = r#"(async () => {
+  const { Connection } = await import('/connection.js');
+  const real = window.WebSocket;
+  let [now, socket, times, open, most] = [0, null, 0, 0, 0];
+  window.WebSocket = class {
+    static OPEN = 1;
+    readyState = 1;
+    constructor() { socket = this; }
+    send(text) {
+      times += 1;
+      open -= JSON.parse(text).seen;
+    }
+  };
+  performance.now = () => now;
+  new Connection({ text() {}, change() {} });
+  for (now = EVERY_MS; now <= 1000; now += EVERY_MS) {
+    open += 1;
+    socket.onmessage({ data: '{"kind":"state"}' });
+    most = Math.max(most, open);
+  }
+  delete performance.now;
+  window.WebSocket = real;
+  return [times, most];
+})()"#;
+
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_shows_and_steers_a_run() {
@@ -159,6 +242,7 @@ fn the_page_shows_and_steers_a_run() {
     browser.wait_until("Number(document.querySelector('#scene-view').dataset.paths) > 5");
     looks_at_the_scene(&mut browser);
     looks_right(&mut browser, "run");
+    acknowledges_within_its_bound(&mut browser);
 
     // Also while the slider has the focus, as it has after it was moved.
     browser.evaluate("document.querySelector('#speed').focus()");

@@ -235,6 +235,19 @@ fn a_spacemouse_moves_the_tip() {
     assert_eq!(browser.errors, Vec::<String>::new());
 }
 
+/// A headset tells of its hands in each frame of 90 Hz, and no more often at 144 Hz.
+fn bounds_its_messages(browser: &mut Browser) {
+    for (hz, told_hz) in [(72.0_f64, 72.0), (90.0, 90.0), (144.0, 91.0)] {
+        browser.evaluate(&format!(
+            "operator.eyes = false, operator.hz = {hz}, operator.looked(4)"
+        ));
+        browser.evaluate("window.before = { handsTold, looks }, operator.looked(90)");
+        let share = browser.evaluate("(handsTold - before.handsTold) / (looks - before.looks)");
+        let found_hz = share.as_f64().unwrap() * hz;
+        assert!((found_hz - told_hz).abs() < 4.0, "{hz}: {found_hz}");
+    }
+}
+
 /// With two eyes the headset shows each its own picture, with one the same to both. That a picture is shown is told from within its frames
 /// alone.
 #[test]
@@ -261,6 +274,11 @@ fn a_headset_has_two_eyes() {
         browser.wait_until("shown.headset > before.headset + 2");
         assert_eq!(browser.evaluate("shown.page === before.page"), true);
         browser.wait_until("told.teleop.camera_to_page_ms?.p50 > 0");
+        assert_eq!(
+            browser.evaluate("document.querySelector('#mono').hidden"),
+            differ
+        );
+        bounds_its_messages(&mut browser);
         assert_eq!(browser.errors, Vec::<String>::new());
     }
 }

@@ -8,9 +8,10 @@ use serde_json::{Value, json};
 use tests::{repository, scratch, trocar};
 use trocar_log::RunLog;
 
-use crate::browser::{SCENE as SCENE_SEEN, looks_right};
+use crate::browser::{SCENE as SCENE_SEEN, finds_what_is_faint, looks_right};
 use crate::devtools::Browser;
 use crate::intervention::{changes, driver};
+use crate::lift::{say, scripted};
 use crate::page::Page;
 use crate::run::{SLOW_MOTION, Served, verified};
 use crate::teleop::{Operator, engaged, rested, tip, way};
@@ -315,7 +316,7 @@ fn shows_its_arm(log: &Path) {
     }
 }
 
-/// The page of a robot in Chromium: its instrument is drawn and moves, and the run is marked by keys.
+/// The page of a robot in Chromium: its instrument is drawn and moves, and the run is marked by keys and by a gamepad.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_shows_and_marks_the_run_of_a_robot() {
@@ -331,7 +332,11 @@ fn the_page_shows_and_marks_the_run_of_a_robot() {
     ];
     let what = [&what[..], &["--log", log.to_str().unwrap()]].concat();
     let mut served = simulator.run("console-robot-browser", "random", &what);
-    let mut browser = Browser::open("console-robot-browser-profile", &served.url());
+    let mut browser = Browser::open_with(
+        "console-robot-browser-profile",
+        &served.url(),
+        &scripted("gamepad", ""),
+    );
     browser.look(1280, "light");
     let stamp = "Number(document.querySelector('#scene-view').dataset.seconds)";
     browser.wait_until(&format!("{stamp} > 0"));
@@ -354,8 +359,19 @@ fn the_page_shows_and_marks_the_run_of_a_robot() {
         browser.press(key);
         browser.wait_until(&format!("({mark}) === '{expected}'"));
     }
+    // A gamepad's buttons are those of the page, though hands do not move this robot.
+    for (button, expected) in [
+        ("discard", "discard"),
+        ("redo", "failure"),
+        ("keep", "success"),
+        ("keep", ""),
+        ("keep", "success"),
+    ] {
+        say(&mut browser, button, &format!("({mark}) === '{expected}'"));
+    }
     browser.evaluate("(() => { const label = document.querySelector('#mark-label'); label.value = 'third try'; label.dispatchEvent(new Event('input')); })()");
     looks_right(&mut browser, "robot");
+    finds_what_is_faint(&mut browser);
     browser.press("s");
     browser.wait_until("document.querySelector('#banner').textContent.includes('marked success, label \"third try\"')");
     browser

@@ -1,14 +1,17 @@
 //! The headset is Meta's emulation of a Quest 3 (IWER), which `.ci/setup-browser.sh` installs: sessions, frames, views, grip spaces and
 //! buttons are those of a runtime that is none of ours.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::{env, fs};
 
 use tests::scratch;
 
 use crate::devices::{Tip, near};
 use crate::devtools::Browser;
-use crate::lift::{SLOW_MOTION as QUICKER, lift, loses_tracking, operated_with, wait_for_end};
+use crate::lift::{
+    SLOW_MOTION as QUICKER, lift, loses_tracking, operated_with, record_to, redo, start_in_headset,
+    wait_for_end,
+};
 use crate::run::{Served, verified};
 
 /// How many times slower than the machine's the clocks of the run are: the emulation's frames are the page's, which a software renderer draws.
@@ -28,31 +31,44 @@ fn runtime() -> String {
     })
 }
 
-/// A run of needle lift by hand with its log at `log`, and a page that may enter the emulated headset.
-fn emulated(test: &str, log: &Path, more: &[&str]) -> (Served, Browser) {
-    let words = "run --task needle-lift --policy teleop --seed 7 --log";
-    let words = words.split(' ').chain([log.to_str().unwrap()]);
-    let words: Vec<&str> = words.chain(more.iter().copied()).collect();
-    let served = Served::start_slow(test, &words, SLOW_MOTION);
+/// `trocar WORDS`, which is moved by hand, and a page that may enter the emulated headset.
+fn emulated(test: &str, words: &[&str]) -> (Served, Browser) {
+    let served = Served::start_slow(test, words, SLOW_MOTION);
     let mut browser = operated_with(test, &served, "iwer", &runtime());
     browser.wait_until("!document.querySelector('#enter-vr').hidden");
     (served, browser)
 }
 
-/// The emulated controller, whose squeeze is the clutch and whose trigger closes the jaw, lifts the needle; no limit is broken meanwhile.
+/// The emulated controllers lift the needle: squeeze is the clutch, the trigger closes the jaw, and buttons begin the recorded episode, twice.
 #[test]
 #[ignore = "needs chromium and IWER: `make test-console` runs it"]
 fn an_emulated_quest_lifts_the_needle() {
     let _turn = tests::alone();
-    let log = scratch("teleop-iwer-lift-log").join("run.mcap");
-    let (mut served, mut browser) = emulated("teleop-iwer-lift", &log, &[]);
-    browser.evaluate("document.querySelector('#enter-vr').click()");
-    browser.wait_until("document.querySelector('#enter-vr-text').textContent.startsWith('Leave')");
+    let data = scratch("teleop-iwer-lift-data").join("data");
+    let (mut served, mut browser) = emulated("teleop-iwer-lift", &record_to(&data));
+    start_in_headset(&mut browser);
+    redo(&mut browser);
     browser.evaluate(&format!("operator.pace = {SLOW_MOTION} / {QUICKER}"));
     lift(&mut browser);
-    wait_for_end(&mut browser, "Success");
+    wait_for_end(&mut browser, "1 episodes are recorded");
     assert_eq!(served.code(), 0);
-    verified(&log);
+    let attempts = &tests::json(&served.folder.join("result.json"))["attempts"];
+    let attempts = attempts.as_array().unwrap();
+    let reasons: Vec<_> = attempts.iter().map(|attempt| &attempt["reason"]).collect();
+    assert_eq!(reasons, ["to be done again", "success"]);
+}
+
+/// A thumbstick that is pushed tilts the scene, until less of it is seen from above; while a clutch is held it does not.
+fn turns_the_scene(browser: &mut Browser) {
+    browser.evaluate("window.below = operator.seen[2], operator.hands.axes = [0, 0, 0, -1], true");
+    browser.wait_until("operator.seen[2] < below - 0.008");
+    browser.evaluate("operator.hands.axes = [0, 0, 0, 0], operator.hold(true), operator.looked(4)");
+    browser.evaluate(
+        "window.below = operator.seen[2], operator.hands.axes = [0, 0, 0, 1], operator.looked(8)",
+    );
+    let way = browser.evaluate("operator.seen[2] - below");
+    assert!(way.as_f64().unwrap().abs() < 0.003, "{way}");
+    browser.evaluate("operator.hands.axes = [0, 0, 0, 0], operator.hold(false), true");
 }
 
 /// Two views are drawn side by side, with the scene if it is asked for; a controller that is held as its instrument points engages by its squeeze, and the tip goes and turns as
@@ -63,7 +79,9 @@ fn an_emulated_quest_lifts_the_needle() {
 fn an_emulated_quest_moves_the_tip() {
     let _turn = tests::alone();
     let log = scratch("teleop-iwer-log").join("run.mcap");
-    let (mut served, mut browser) = emulated("teleop-iwer", &log, &["--stereo"]);
+    let words = "run --task needle-lift --policy teleop --seed 7 --stereo --log";
+    let words: Vec<&str> = words.split(' ').chain([log.to_str().unwrap()]).collect();
+    let (mut served, mut browser) = emulated("teleop-iwer", &words);
     browser.evaluate("operator.eyes = true, document.querySelector('#enter-vr').click()");
     browser.wait_until("operator.seen?.[1] > 0.05 && operator.seen[0] > 0.01");
     let seen = browser.evaluate("operator.seen");
@@ -73,6 +91,7 @@ fn an_emulated_quest_moves_the_tip() {
     let lit = seen[1].as_f64().unwrap();
     browser.evaluate("document.querySelector('#scene-vr').click()");
     browser.wait_until(&format!("operator.seen[1] > {lit} + 0.02"));
+    turns_the_scene(&mut browser);
     browser.screenshot(&scratch("teleop-iwer-pictures").join("eyes.png"));
     browser.evaluate("document.querySelector('#scene-vr').click()");
     browser.wait_until(&format!("operator.seen[1] < {lit} + 0.01"));

@@ -7,7 +7,7 @@ use tests::{json as read_json, scratch, trocar};
 use trocar_data::dataset::Dataset;
 use trocar_log::RunLog;
 
-use crate::lift::{SLOW_MOTION, operated};
+use crate::lift::{SLOW_MOTION, operated, say, start_in_headset};
 use crate::page::Page;
 use crate::run::{Served, verified};
 use crate::teleop::{Operator, engaged, refused, rested, tip, way};
@@ -124,22 +124,19 @@ fn hands_take_over_from_a_policy_and_hand_back() {
     assert!(replay.status.success(), "{}", tests::stderr(&replay));
 }
 
-/// In the browser: the policy begins the episode, a gamepad takes over and moves the arm away, hands back, and the policy lifts the
-/// needle. Every frame of the dataset says who drove.
+/// In the browser: the policy begins the episode, a headset's controller takes over and moves the arm away, hands back, and the policy lifts
+/// the needle. Every frame of the dataset says who drove.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
-fn a_gamepad_takes_over_from_a_policy_and_the_dataset_says_so() {
+fn a_headset_takes_over_from_a_policy_and_the_dataset_says_so() {
     let _turn = tests::alone();
     let folder = scratch("intervention-data");
     let data = folder.join("data");
     let words = record(&data);
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let mut served = Served::start_slow("intervention-record", &words, SLOW_MOTION);
-    let mut browser = operated("intervention", &served, "gamepad");
-    let state = "document.querySelector('#episode-state').textContent";
-    browser.wait_until(&format!("{state}.includes('waits for its start')"));
-    browser.wait_until("!document.querySelector('[data-episode=start]').disabled");
-    browser.press("g");
+    let mut browser = operated("intervention", &served, "headset");
+    start_in_headset(&mut browser);
     let drives =
         |who: &str| format!("document.querySelector('#driver').dataset.driver === '{who}'");
     browser.wait_until(&drives("policy"));
@@ -161,8 +158,7 @@ fn a_gamepad_takes_over_from_a_policy_and_the_dataset_says_so() {
     crate::browser::looks_right(&mut browser, "operator-drives");
     browser.evaluate("operator.rest(), true");
     browser.wait_until("!document.querySelector('#hand-back').disabled");
-    browser.press("b");
-    browser.wait_until(&drives("policy"));
+    say(&mut browser, "handBack", &drives("policy"));
     browser.wait_until("/recorded/.test(document.querySelector('#banner').textContent)");
     assert_eq!(browser.errors, Vec::<String>::new());
     assert_eq!(served.code(), 0);

@@ -116,6 +116,14 @@ fn scene_from_view(plan: &Plan) -> Isometry3<f64> {
     Isometry3::from_parts(eye.into(), turn)
 }
 
+/// What the page says of the episode, by an expression.
+const EPISODE: &str = "document.querySelector('#episode-state').textContent";
+
+/// What runs before the scripts of a page whose operator has `device` in hand, after `runtime`.
+pub(crate) fn scripted(device: &str, runtime: &str) -> String {
+    format!("{runtime}\n{OPERATOR}\nwindow.device = {};", json!(device))
+}
+
 /// A page whose operator has `device` in hand, once it steers an arm that is enabled.
 pub(crate) fn operated(test: &str, served: &Served, device: &str) -> Browser {
     operated_with(test, served, device, "")
@@ -123,7 +131,7 @@ pub(crate) fn operated(test: &str, served: &Served, device: &str) -> Browser {
 
 /// The same, in which `runtime` runs before all other scripts.
 pub(crate) fn operated_with(test: &str, served: &Served, device: &str, runtime: &str) -> Browser {
-    let script = format!("{runtime}\n{OPERATOR}\nwindow.device = {};", json!(device));
+    let script = scripted(device, runtime);
     let mut browser = Browser::open_with(&format!("{test}-profile"), &served.url(), &script);
     browser.look(1280, "light");
     browser.wait_until("document.querySelector('.chip')?.dataset.state === 'ENABLED'");
@@ -141,6 +149,43 @@ pub(crate) fn lift(browser: &mut Browser) {
             "operator.done || /Success|recorded/.test(document.querySelector('#banner').textContent)",
         );
     }
+}
+
+/// Holds the button of the device that says `what` until an expression is true, and lets it go.
+pub(crate) fn say(browser: &mut Browser, what: &str, comes: &str) {
+    browser.evaluate(&format!("operator.say('{what}', true)"));
+    browser.wait_until(comes);
+    browser.evaluate(&format!("operator.say('{what}', false)"));
+}
+
+/// Starts the episode that waits, by the device alone.
+fn start(browser: &mut Browser) {
+    browser.wait_until("!document.querySelector('[data-episode=start]').disabled");
+    say(browser, "start", &says("is recorded"));
+}
+
+/// Begins the same episode again, by the device alone.
+pub(crate) fn redo(browser: &mut Browser) {
+    say(browser, "redo", &says("waits for its start"));
+    start(browser);
+}
+
+/// Whether the page says so of the episode.
+fn says(words: &str) -> String {
+    format!("{EPISODE}.includes('{words}')")
+}
+
+/// Puts the headset on, which shows how the episode stands, and starts it.
+pub(crate) fn start_in_headset(browser: &mut Browser) {
+    browser.wait_until("!document.querySelector('#enter-vr').hidden");
+    browser.evaluate(
+        "operator.eyes = true, operator.compares = false, document.querySelector('#enter-vr').click()",
+    );
+    browser.wait_until("document.querySelector('#enter-vr-text').textContent.startsWith('Leave')");
+    browser.wait_until(&says("waits for its start"));
+    browser.wait_until(&format!("written.has({EPISODE})"));
+    start(browser);
+    browser.wait_until(&format!("written.has({EPISODE})"));
 }
 
 /// A controller that is not tracked in mid-motion lets go and the arm rests; one that comes back with its squeeze held moves nothing.
@@ -161,8 +206,8 @@ pub(crate) fn wait_for_end(browser: &mut Browser, words: &str) {
     assert_eq!(errors, Vec::<String>::new());
 }
 
-/// By gamepad alone a needle is lifted twice: the first time is thrown away and done again. The dataset says who did it and how late the
-/// hand was, and can be trained on.
+/// By gamepad alone, its buttons too, a needle is lifted in the second attempt: the first is thrown away and done again. The dataset says who
+/// did it and how late the hand was, and can be trained on.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn a_gamepad_lifts_the_needle_and_the_dataset_trains() {
@@ -171,31 +216,14 @@ fn a_gamepad_lifts_the_needle_and_the_dataset_trains() {
     let data = folder.join("data");
     let mut served = Served::start_slow("teleop-gamepad", &record_to(&data), SLOW_MOTION);
     let mut browser = operated("teleop-gamepad", &served, "gamepad");
-    let state = "document.querySelector('#episode-state').textContent";
-    browser.wait_until(&format!("{state}.includes('waits for its start')"));
-    browser.wait_until("!document.querySelector('[data-episode=start]').disabled");
-    let before = browser.evaluate("told.teleop.arms[0].tip");
-    // Before the start the hand moves nothing.
-    browser.evaluate("operator.hold(true), operator.push([1, 0, 0]), true");
-    browser.evaluate("new Promise((done) => setTimeout(done, 1000))");
-    assert_eq!(browser.evaluate("told.teleop.arms[0].tip"), before);
-    browser.evaluate("operator.rest(), true");
-    browser.press("g");
-    browser.wait_until(&format!("{state}.includes('is recorded')"));
-    browser.press("z");
-    browser.wait_until(&format!("{state}.includes('waits for its start')"));
+    does_not_start_with_the_clutch(&mut browser);
+    start(&mut browser);
+    say(&mut browser, "redo", &says("waits for its start"));
     browser.wait_until("!document.querySelector('[data-episode=start]').disabled");
     browser.screenshot(&folder.join("waiting.png"));
-    browser.press("g");
-    browser.wait_until(&format!("{state}.includes('is recorded')"));
+    start(&mut browser);
     label(&mut browser, "second try");
-    assert!(
-        browser
-            .evaluate(state)
-            .as_str()
-            .unwrap()
-            .contains("is recorded")
-    );
+    assert_eq!(browser.evaluate(&says("is recorded")), true);
     lift(&mut browser);
     wait_for_end(&mut browser, "1 episodes are recorded");
     assert_eq!(served.code(), 0);
@@ -206,6 +234,19 @@ fn a_gamepad_lifts_the_needle_and_the_dataset_trains() {
     assert_eq!(reasons, [&json!("to be done again"), &json!("success")]);
     assert_eq!(attempts[0]["seed"], attempts[1]["seed"]);
     says_who_and_trains(&folder, &data, &json!("second try"));
+}
+
+/// Before the start the hand moves nothing. While it holds its clutch the button does not start the episode, nor does one that goes on being held.
+fn does_not_start_with_the_clutch(browser: &mut Browser) {
+    browser.wait_until(&says("waits for its start"));
+    browser.wait_until("!document.querySelector('[data-episode=start]').disabled");
+    let before = browser.evaluate("told.teleop.arms[0].tip");
+    browser.evaluate("operator.hold(true), operator.push([1, 0, 0]), operator.say('start', true)");
+    browser.evaluate("new Promise((done) => setTimeout(done, 1000))");
+    assert_eq!(browser.evaluate("told.teleop.arms[0].tip"), before);
+    browser.evaluate("operator.rest(), new Promise((done) => setTimeout(done, 500))");
+    assert_eq!(browser.evaluate(&says("waits for its start")), true);
+    browser.evaluate("operator.say('start', false)");
 }
 
 /// Writes the episode's label, whose letters are no keys of the page.
@@ -306,7 +347,8 @@ fn a_keyboard_lifts_the_needle() {
     verified(&log);
 }
 
-/// In a headset, whose squeeze is the clutch and whose trigger closes the jaw, a needle is lifted for a dataset that can be trained on.
+/// In a headset alone, whose squeeze is the clutch, whose trigger closes the jaw and whose buttons begin the episode, twice, a needle is lifted
+/// for a dataset that can be trained on.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn a_headset_lifts_the_needle_and_the_dataset_trains() {
@@ -315,15 +357,8 @@ fn a_headset_lifts_the_needle_and_the_dataset_trains() {
     let data = folder.join("data");
     let mut served = Served::start_slow("teleop-headset", &record_to(&data), SLOW_MOTION);
     let mut browser = operated("teleop-headset", &served, "headset");
-    browser.wait_until("!document.querySelector('[data-episode=start]').disabled");
-    browser.press("g");
-    browser
-        .wait_until("document.querySelector('#episode-state').textContent.includes('is recorded')");
-    browser.wait_until("!document.querySelector('#enter-vr').hidden");
-    browser.evaluate(
-        "operator.eyes = true, operator.compares = false, document.querySelector('#enter-vr').click()",
-    );
-    browser.wait_until("document.querySelector('#enter-vr-text').textContent.startsWith('Leave')");
+    start_in_headset(&mut browser);
+    redo(&mut browser);
     aligns(&mut browser, &folder);
     loses_tracking(&mut browser);
     lift(&mut browser);
@@ -368,7 +403,7 @@ fn aligns(browser: &mut Browser, folder: &Path) {
 }
 
 /// The words of a recording of one episode by hand into `data`.
-fn record_to(data: &Path) -> Vec<&str> {
+pub(crate) fn record_to(data: &Path) -> Vec<&str> {
     let words = ["record", "--task", "needle-lift", "--source", "teleop"];
     let more = ["--episodes", "1", "--seed", SEED, "--out"];
     [&words[..], &more, &[data.to_str().unwrap()]].concat()

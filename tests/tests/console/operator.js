@@ -11,6 +11,7 @@ window.WebSocket = class extends WebSocket {
 
   send(message) {
     super.send(message);
+    if (message.startsWith('{"hands"')) window.handsTold += 1;
     if (message.startsWith('{"shown"')) window.shown[window.headsetDraws ? "headset" : "page"] += 1;
   }
 };
@@ -18,15 +19,30 @@ window.WebSocket = class extends WebSocket {
 /** How often the run was told of a picture that is shown: from within a frame of the headset, and otherwise. */
 window.shown = { headset: 0, page: 0 };
 
+/** How often the run was told of hands. */
+window.handsTold = 0;
+
+/** How often the page has looked at its gamepads, or at the controllers of a headset. */
+window.looks = 0;
+
 /** A frame of the headset. */
 function drawn(frame) {
   window.headsetDraws = true;
   try {
     frame();
+    window.looks += 1;
   } finally {
     window.headsetDraws = false;
   }
 }
+
+/** What was written for the headset, whose lines are the only text that is drawn. */
+window.written = new Set();
+const fillText = CanvasRenderingContext2D.prototype.fillText;
+CanvasRenderingContext2D.prototype.fillText = function write(text, ...where) {
+  window.written.add(text);
+  return fillText.call(this, text, ...where);
+};
 
 const SCALE = 0.4;
 
@@ -62,9 +78,17 @@ class Gamepad {
     buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })),
   };
 
+  /** Start, A, Select, B and RB. */
+  says = { start: 9, keep: 0, redo: 8, discard: 1, handBack: 5 };
+
   constructor() {
-    navigator.getGamepads = () => [null, this.pad];
+    navigator.getGamepads = () => {
+      window.looks += 1;
+      return [null, this.pad];
+    };
   }
+
+  say(what, on) { this.press(this.says[what], on); }
 
   press(index, on) {
     this.pad.buttons[index] = { pressed: Boolean(on), value: Number(on) };
@@ -132,6 +156,8 @@ const EYES = ["left", "right"].map((eye) => ({
   transform: { inverse: { matrix: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1] } },
 }));
 const EYE_PIXELS = 256;
+/** The part of what is drawn that is below the picture and its lines. */
+const BELOW = 0.3;
 let layer = null;
 
 /** The left eye's picture beside the right one's. */
@@ -149,7 +175,7 @@ class Layer {
   }
 }
 
-/** Which shares of the pixels the eyes see otherwise, and not black: the left half of what is drawn, and the right one. */
+/** Which shares of the pixels the eyes see otherwise, and not black, and not black below: the left half of what is drawn, and the right one. */
 function compareEyes(gl) {
   const { drawingBufferWidth: both, drawingBufferHeight: height } = gl;
   const width = both / 2;
@@ -158,19 +184,24 @@ function compareEyes(gl) {
     gl.readPixels(x, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
     return pixels;
   });
-  let [other, lit] = [0, 0];
+  let [other, lit, below] = [0, 0, 0];
   for (let at = 0; at < left.length; at += 4) {
     const channels = [0, 1, 2].map((channel) => at + channel);
     if (channels.some((at) => Math.abs(left[at] - right[at]) > 24)) other += 1;
-    if (channels.some((at) => right[at] > 24)) lit += 1;
+    if (!channels.some((at) => right[at] > 24)) continue;
+    lit += 1;
+    // Rows are read from the lowest on.
+    if (at < left.length * BELOW) below += 1;
   }
-  window.operator.seen = [other, lit].map((count) => count / (width * height));
+  window.operator.seen = [other, lit, below].map((count) => count / (width * height));
 }
 
 /** A hand's controller, which moves as it is driven. */
 class Controller {
   turn = [0, 0, 0, 1];
-  buttons = [{ value: 0, pressed: false }, { value: 0, pressed: false }];
+  /** By xr-standard: trigger, squeeze, no touchpad, thumbstick, A or X, B or Y. */
+  buttons = Array.from({ length: 6 }, () => ({ value: 0, pressed: false }));
+  axes = [0, 0, 0, 0];
   rate = 0.013 / SCALE;
 
   constructor(handedness) {
@@ -192,7 +223,8 @@ class Controller {
     return { position: { x, y, z }, orientation: { x: a, y: b, z: c, w } };
   }
 
-  hold(on) { this.buttons[1] = { value: Number(on), pressed: on }; }
+  press(index, on) { this.buttons[index] = { value: Number(on), pressed: on }; }
+  hold(on) { this.press(1, on); }
   jaw(closed) { this.buttons[0] = { value: closed, pressed: closed > 0.5 }; }
   drive(way, turn) { this.moving = [way, turn]; }
   time(axis, amount) { return (amount * window.operator.pace) / (axis < 3 ? 0.013 : 0.3); }
@@ -202,6 +234,14 @@ class Controller {
     const held = product(tip.slice(3), [-1, 0, 0, 0]);
     this.turn = product([Math.sin(angle / 2), 0, 0, Math.cos(angle / 2)], held);
   }
+}
+
+/** What the buttons of the right and the left controller say: A, A once more, B, X and Y. */
+const SAYS = { start: [0, 4], keep: [0, 4], discard: [0, 5], redo: [1, 4], handBack: [1, 5] };
+
+function sayBy(controllers, what, on) {
+  const [hand, button] = SAYS[what];
+  controllers[hand].press(button, on);
 }
 
 /** A headset with two controllers. */
@@ -216,11 +256,13 @@ class Headset {
       inputSources = controllers.map(({ source }) => source);
       requestReferenceSpace() { return Promise.resolve({}); }
       updateRenderState() {}
+      time = 0;
       requestAnimationFrame(frame) {
         const pose = ({ transform }) => window.operator.tracked && { emulatedPosition: false, transform };
         return setTimeout(() => {
           const viewer = () => (window.operator.eyes ? { views: EYES } : null);
-          drawn(() => frame(performance.now(), { getPose: pose, getViewerPose: viewer }));
+          this.time += 1000 / window.operator.hz;
+          drawn(() => frame(this.time, { getPose: pose, getViewerPose: viewer }));
           if (window.operator.eyes && window.operator.compares) compareEyes(layer.gl);
         }, 14);
       }
@@ -238,6 +280,8 @@ class Headset {
       controllers.forEach((controller) => controller.go(seconds));
     }, 10);
   }
+
+  say(what, on) { sayBy(this.controllers, what, on); }
 }
 
 /** The rotation of a matrix by columns, of less than half a turn, as a quaternion x, y, z, w. */
@@ -275,8 +319,10 @@ class Emulated {
     }, 10);
   }
 
+  say(what, on) { sayBy(this.controllers, what, on); }
+
   /** It places where a controller points from; the grip is elsewhere. */
-  #place({ at, turn, buttons, source: { handedness } }) {
+  #place({ at, turn, buttons, axes, source: { handedness } }) {
     const controller = this.quest.controllers[handedness];
     const offset = IWER.metaQuest3.controllerConfig.layout[handedness].gripOffsetMatrix;
     const [a, b, c, w] = rotationOf(offset);
@@ -284,7 +330,9 @@ class Emulated {
     const lever = product(product(pointing, [...offset.slice(12, 15), 0]), [...pointing.slice(0, 3).map((value) => -value), pointing[3]]);
     controller.position.set(...at.map((value, axis) => value - lever[axis]));
     controller.quaternion.set(...pointing);
-    ["trigger", "squeeze"].forEach((name, index) => controller.updateButtonValue(name, buttons[index].value));
+    const names = ["trigger", "squeeze", null, null, ...(handedness === "right" ? ["a-button", "b-button"] : ["x-button", "y-button"])];
+    names.forEach((name, index) => name && controller.updateButtonValue(name, buttons[index].value));
+    controller.updateAxes("thumbstick", axes[2], axes[3]);
   }
 }
 
@@ -344,6 +392,8 @@ window.operator = {
   /** Whether a headset shows anything, and whether what its eyes see is compared. */
   eyes: false,
   compares: true,
+  /** Frames of a headset's display in a second of its time. */
+  hz: 72,
   /** How many times slower than a run in threefold slow motion wants it a controller is moved, and waited for. */
   pace: 1,
   moves: false,
@@ -360,6 +410,16 @@ window.operator = {
   hand(arm) { return this.device?.controllers?.[arm] ?? this.device; },
   get told() { return window.told.teleop.arms[this.arm]; },
   hold(on) { for (const arm of this.arms) this.hand(arm).hold(on); },
+  /** Waits until the page has looked at its device so many times more. */
+  async looked(times) {
+    const before = window.looks;
+    while (window.looks < before + times) await sleep(10);
+  },
+  /** Presses the device's button that says so, or lets it go, and waits until the page has done whatever it makes of it. */
+  async say(what, on) {
+    this.device.say(what, on);
+    await this.looked(3);
+  },
   push(way) { this.hands.drive(way, [0, 0, 0]); },
   /** Controllers are held as their instruments point. */
   align() { for (const arm of this.arms) this.hand(arm).align?.(window.told.teleop.arms[arm].tip); },

@@ -1,9 +1,13 @@
 //! Teleoperation as a page does it: hands move the arm, and whatever is lost stops it.
 
+use std::path::Path;
+
 use hal::random::SplitMix64;
 use serde_json::{Value, json};
 use tests::{json, stderr};
 use trocar::rt::MonotonicClock;
+use trocar_control::kinematics::forward;
+use trocar_log::RunLog;
 use tungstenite::Message;
 
 use crate::page::Page;
@@ -365,6 +369,8 @@ fn mutated_hands_move_nothing() {
     let mut served = by_hand("teleop-mutated", "needle-lift");
     let mut operator = Operator::take_control(Page::open(&served));
     let still = rested(&mut operator.page);
+    let from = seconds(&operator.page.wait_for("state", |_| true));
+    let mut until = from;
     let mut random = SplitMix64::new(11);
     let (mut sent, resident_mb) = (0, served.resident_mb());
     while sent < mutated_messages(MUTATED) {
@@ -379,6 +385,7 @@ fn mutated_hands_move_nothing() {
         let state = operator.page.wait_for("state", |_| true);
         assert!(way(tip(&state), still) < 1e-5, "{state}");
         assert_eq!(state["arms"][0]["state"], "ENABLED");
+        until = seconds(&state);
     }
     assert_eq!(served.process.try_wait().unwrap(), None);
     let after_mb = served.resident_mb();
@@ -393,7 +400,26 @@ fn mutated_hands_move_nothing() {
     assert!(operator.page.command("stop").0);
     operator.page.wait_for("end", |_| true);
     served.code();
-    verified(&tests::repository().join("target/scratch/teleop-mutated-log/run.mcap"));
+    let log = tests::repository().join("target/scratch/teleop-mutated-log/run.mcap");
+    verified(&log);
+    let moved_m = greatest_way_m(&log, from, until);
+    assert!(moved_m < 1e-5, "the tip moved by {moved_m} m");
+}
+
+/// How far the commanded tip of the first arm was at most from where it was at `from`, in all ticks of `log` up to `until`, s.
+fn greatest_way_m(log: &Path, from: f64, until: f64) -> f64 {
+    let log = RunLog::open(log).unwrap();
+    let ticks = log.ticks().map(|(tick, _)| tick);
+    let ticks = ticks.filter(|tick| (from..until).contains(&tick.now.seconds()));
+    let mut tips = ticks.map(|tick| {
+        forward(&tick.arms.first.command.position)
+            .translation
+            .vector
+    });
+    let first = tips.next().unwrap();
+    let ways: Vec<f64> = tips.map(|tip| (tip - first).norm()).collect();
+    assert!(ways.len() > 100, "{} ticks", ways.len());
+    ways.into_iter().fold(0.0, f64::max)
 }
 
 /// A message of hands with something wrong in it. Its clutch is held in none that is whole: a hand that was never heard to let go can't

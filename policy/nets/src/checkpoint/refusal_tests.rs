@@ -49,6 +49,20 @@ pub(super) fn refused_with(folder: &Path, file: &str, from: &str, to: &str, reas
 }
 
 #[test]
+fn a_text_beyond_the_limit_is_refused_with_both_sizes() {
+    let folder = whole("large");
+    for file in ["trocar.json", "config.json", "policy_preprocessor.json"] {
+        let path = folder.join(file);
+        let text = fs::read(&path).unwrap();
+        let opened = fs::File::options().write(true).open(&path).unwrap();
+        opened.set_len((16 << 20) + 1).unwrap();
+        let reason = "it has 16777217 bytes, a checkpoint's JSON at most 16777216";
+        expect(&folder, file, reason);
+        fs::write(&path, text).unwrap();
+    }
+}
+
+#[test]
 fn architectures_that_are_not_built_are_refused_by_field() {
     let folder = whole("architecture");
     for (from, to, reason) in [

@@ -10,7 +10,7 @@ use super::episode::{Episode, EpisodeEnd, EpisodeObserver, StepView};
 use super::keep::{Keep, Keeper, Kept};
 use super::policy_choice::PolicyChoice;
 use super::run::next_simulation;
-use super::source::ChunkSource;
+use super::source::{ChunkSource, MakeSource};
 use super::summary::{EvalSummary, TrialSummary};
 use super::{Plan, SessionError, outputs, parallel};
 use trocar_log::TickRecord;
@@ -25,9 +25,6 @@ pub struct EvalOptions {
     /// Trials whose log and pictures are kept, if any.
     pub keep: Option<Keep>,
 }
-
-/// Makes a policy of the caller's, [`ChunkSource::policy`].
-pub type MakeSource<'a> = &'a (dyn Fn() -> Result<ChunkSource, SessionError> + Sync);
 
 /// Runs the trials of `plan`; `on_trial` hears of each in order. Once `stop` says so, those in progress are abandoned, and the summary is
 /// that of the ones that were done.

@@ -28,8 +28,8 @@ pub enum PolicyChoice {
     /// A trained checkpoint.
     Checkpoint(PathBuf),
     /// One that the caller hands in, as [`ChunkSource::policy`](super::source::ChunkSource::policy), by this name: to
-    /// [`run_lockstep_with`](super::run::run_lockstep_with), [`evaluate_with`](super::eval::evaluate_with) or
-    /// [`run_rig`](super::realtime::run_rig).
+    /// [`run_lockstep_with`](super::run::run_lockstep_with), [`evaluate_with`](super::eval::evaluate_with),
+    /// [`record_with`](super::record::record_with) or [`run_rig`](super::realtime::run_rig).
     Own(String),
     /// One in another process, over topics.
     External(ExternalChoice),

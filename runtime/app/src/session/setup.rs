@@ -198,7 +198,7 @@ impl Setup {
             }
             PolicyChoice::Own(name) => {
                 return Err(SessionError::BadArgument(format!(
-                    "policy {name} has to be handed in: run_lockstep_with takes it as ChunkSource::policy, evaluate_with makes one a job"
+                    "policy {name} has to be handed in: run_lockstep_with takes it as ChunkSource::policy, evaluate_with and record_with make one a job"
                 )));
             }
         })

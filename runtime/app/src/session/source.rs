@@ -89,6 +89,9 @@ pub struct Observer {
     steps: PolicySteps,
 }
 
+/// Makes a policy of the caller's, [`ChunkSource::policy`].
+pub type MakeSource<'a> = &'a (dyn Fn() -> Result<ChunkSource, SessionError> + Sync);
+
 /// A camera by name, and the size in pixels that its frames must have, if any.
 pub(super) type SizedCamera = (String, Option<(u32, u32)>);
 

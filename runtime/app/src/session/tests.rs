@@ -31,6 +31,7 @@ mod joined;
 mod latency;
 mod logged;
 mod operator;
+mod own;
 mod resumed;
 mod state;
 mod tissue;

@@ -1,11 +1,10 @@
 //! The sections of the configuration files, each checked against its ranges.
 
-use hal::TICK_S;
 use hal::config::{ConfigError, Source, number_text};
 use hal::joints::INSERTION;
-use hal::psm::{FINGER_M, JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX};
+use hal::psm::{JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN, VELOCITY_MAX};
 
-use super::{FilterConfig, Margins, Supervision};
+use super::{FilterConfig, Supervision};
 use crate::aggregate::Aggregation;
 use crate::gate::GateLimits;
 use crate::motion::{AXES, AxisLimits, JAW};
@@ -14,10 +13,6 @@ use crate::stop::AxisStop;
 
 /// The longest that an axis may take to come to rest, s: what waits for a stop counts on it.
 const STOP_S_MAX: f64 = 0.4;
-
-/// How long a measured arm is behind its setpoints, s: in free motion the simulated drives, with the dVRK's gains and a period each for the
-/// setpoint's way there and the measurement's way back, are 0.52 mm behind at 0.141 m/s (five tasks, random policy).
-const LAG_S: f64 = 0.004;
 
 pub(super) fn axes(source: &Source, file: &ControlFile) -> Result<[AxisLimits; AXES], ConfigError> {
     let limits = &file.limits;
@@ -163,35 +158,6 @@ pub(super) fn filter(source: &Source, file: &ControlFile) -> Result<FilterConfig
         joint_weight: filter.joint_weight,
         iterations_max: filter.iterations_max,
     })
-}
-
-/// The guard judges setpoints, and keeps how far the measured arm is off beyond its margin; what filter and tracking plan must leave that
-/// free, or the guard would refuse it. What an instrument does between two of them must be within its margin.
-///
-/// No point of the instrument is further than half a tick's way from where it is at the nearer of the two.
-pub(super) fn check_tick(
-    safety: &Source,
-    margins: &Margins,
-    tip_speed_m_s: f64,
-    tip_angular_speed_rad_s: f64,
-    axes: &[AxisLimits; AXES],
-) -> Result<(), ConfigError> {
-    let finger_m_s =
-        tip_speed_m_s + FINGER_M * (tip_angular_speed_rad_s + axes[JAW].velocity / 2.0);
-    let half_way_m = finger_m_s * TICK_S / 2.0;
-    safety.check_range("margins.guard_m", margins.guard_m, half_way_m, 0.02)?;
-    let lag_m = finger_m_s * LAG_S;
-    if margins.filter_m >= margins.guard_m + lag_m {
-        return Ok(());
-    }
-    let allowed = format!(
-        "at least {:.5}: the guard's {} and the {:.2} mm that a finger is behind its setpoints at full speed",
-        margins.guard_m + lag_m,
-        number_text(margins.guard_m),
-        1e3 * lag_m
-    );
-    let found = number_text(margins.filter_m);
-    Err(safety.out_of_range("margins.filter_m", &found, &allowed))
 }
 
 pub(super) fn supervision(source: &Source, file: &ControlFile) -> Result<Supervision, ConfigError> {

@@ -42,6 +42,9 @@ pub(super) fn surfaces(
                 grid.world(&within_reach(&begin[v], voxel))
             };
             balance(&mut complex, targets, half_voxel, in_cell);
+            // Sheets a voxel apart may still fold through each other. What is back at the corners of voxels does not: those are faces of voxels.
+            let corners: Vec<_> = begin.iter().map(|voxel| grid.world(voxel)).collect();
+            put_back(&mut complex, &corners);
             complex
         }
         Method::MarchingCubes => {
@@ -57,21 +60,26 @@ pub(super) fn surfaces(
     }
 }
 
-/// Volumes put right after decimation, by moves of at most `most_mm`; sheets that would pass each other stay where they are, and all do if
-/// that is not enough.
-pub(super) fn settle(complex: &mut Complex, targets: &[f64], most_mm: f64) {
-    let before = complex.positions.clone();
-    balance(complex, targets, most_mm, |_, to| to);
+/// Puts vertices of crossing triangles back to where they were, `before`, until none crosses; whether that is so.
+fn put_back(complex: &mut Complex, before: &[Point3<f64>]) -> bool {
     for _ in 0..BACK_MAX {
         let crossing = crossing_vertices(complex);
         if crossing.is_empty() {
-            return;
+            return true;
         }
         for v in crossing.into_iter().map(|v| v as usize) {
             complex.positions[v] = before[v];
         }
     }
-    if crossing_vertices(complex).is_empty() {
+    crossing_vertices(complex).is_empty()
+}
+
+/// Volumes put right after decimation, by moves of at most `most_mm`; sheets that would pass each other stay where they are, and all do if
+/// that is not enough.
+pub(super) fn settle(complex: &mut Complex, targets: &[f64], most_mm: f64) {
+    let before = complex.positions.clone();
+    balance(complex, targets, most_mm, |_, to| to);
+    if put_back(complex, &before) {
         return;
     }
     let settled = core::mem::replace(&mut complex.positions, before);

@@ -70,7 +70,7 @@ fn some_seeds_are_whole_patients() {
     }
 }
 
-/// Minutes; `cargo test -p trocar-anatomy -- --ignored`.
+/// Minutes; `make test-anatomy` runs it.
 #[test]
 #[ignore = "takes minutes"]
 fn a_thousand_seeds_are_whole_patients() {

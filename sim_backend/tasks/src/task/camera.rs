@@ -6,6 +6,7 @@ use hal::config::{ConfigError, Source, number_text};
 use hal::{Distortion, Intrinsics};
 use nalgebra::Vector3;
 use serde::Deserialize;
+use trocar_render::Optics;
 
 /// The camera that looks at the scene as a surgeon does.
 pub const ENDOSCOPE: &str = "endoscope";
@@ -84,6 +85,9 @@ pub struct CameraConfig {
     /// Distortion of the lens, `k1`, `k2`, `p1`, `p2` of [`Distortion`]; none if not given. Field of view and calibration are those without.
     #[serde(default)]
     pub distortion: [f64; 4],
+    /// Share of the light that the lens loses in the picture's corner, as [`Optics::vignette`] has it, 0 to 1; none if not given.
+    #[serde(default)]
+    pub vignette: f64,
     /// Where the lens is, in the frame of the mount, m.
     pub eye_m: [f64; 3],
     /// The point on the lens' axis, in the middle of the image unless a calibration has the principal point elsewhere; in the frame of the mount, m.
@@ -105,6 +109,14 @@ impl CameraConfig {
         }
         lens.distortion = Distortion::new(self.distortion);
         lens
+    }
+
+    /// What else the lens does to pictures.
+    pub(crate) const fn optics(&self) -> Optics {
+        Optics {
+            vignette: self.vignette,
+            ..Optics::CLEAN
+        }
     }
 
     /// Takes pictures of another size; a calibrated camera shows in them what it showed before, others keep their vertical field of view.
@@ -258,6 +270,7 @@ impl CameraConfig {
         source.check_range(&key("height"), f64::from(self.height), 16.0, 4096.0)?;
         self.check_lens(source, index)?;
         self.check_distortion(source, &key("distortion"))?;
+        source.check_range(&key("vignette"), self.vignette, 0.0, 1.0)?;
         for axis in 0..3 {
             source.check_range(&key(&format!("eye_m.{axis}")), self.eye_m[axis], -2.0, 2.0)?;
             source.check_range(

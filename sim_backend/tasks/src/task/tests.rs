@@ -135,6 +135,11 @@ fn value_out_of_range_is_named_with_line_key_and_range() {
             "name = \"a side\"",
             "camera.1.name = a side is outside letters",
         ),
+        (
+            "name = \"side\"",
+            "vignette = 1.5\nname = \"side\"",
+            "camera.1.vignette = 1.5 is outside [0, 1]",
+        ),
         ("arm = 0", "arm = 1", "camera.2.arm = 1 is outside"),
         (
             "name = \"side\"",

@@ -284,9 +284,8 @@ impl TaskConfig {
                 .iter()
                 .filter(|_| varies(Variation::Lens) || Variation::EFFECTS.into_iter().any(varies))
                 .map(|camera| {
-                    let intrinsics = camera.intrinsics();
-                    let lens = Lens::draw(seed, &camera.name, &intrinsics);
-                    (camera.name.clone(), lens.with(&self.varied, &intrinsics))
+                    let lens = Lens::draw(seed, camera);
+                    (camera.name.clone(), lens.with(&self.varied, camera))
                 })
                 .collect(),
         }

@@ -113,6 +113,7 @@ impl CameraConfig {
         self.vertical_fov_rad = seen.vertical_fov_rad;
         self.calibration = seen.calibration;
         self.distortion = other.distortion;
+        self.vignette = other.vignette;
         self.eye_m = other.eye_m;
         self.target_m = other.target_m;
         self.up = other.up;

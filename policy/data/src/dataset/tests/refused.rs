@@ -1,5 +1,7 @@
 //! What is not written, and what is not read.
 
+use std::os::unix::net::UnixListener;
+
 use super::*;
 
 #[test]
@@ -82,6 +84,27 @@ fn missing_and_cut_files_are_named() {
         "{message}"
     );
     assert_eq!(message.matches("No such file").count(), 1, "{message}");
+}
+
+#[test]
+fn info_that_is_too_large_or_no_file_is_refused() {
+    let folder = Folder::new("no-file");
+    record(&folder.0).finish().unwrap();
+    let info = meta::info_path(&folder.0);
+    let file = fs::File::options().write(true).open(&info).unwrap();
+    file.set_len((16 << 20) + 1).unwrap();
+    let message = error_of(&folder.0);
+    assert!(
+        message.contains("meta/info.json: cannot be read or written: it has 16777217 bytes"),
+        "{message}"
+    );
+    fs::remove_file(&info).unwrap();
+    let _bound = UnixListener::bind(&info).unwrap();
+    let message = error_of(&folder.0);
+    assert!(
+        message.contains("it is a device, a pipe or a socket"),
+        "{message}"
+    );
 }
 
 #[test]

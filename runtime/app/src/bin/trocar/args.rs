@@ -211,7 +211,8 @@ pub(crate) enum Verb {
     /// Say whether the arms of a run are homed; drives home during bring-up.
     #[command(after_help = "Example: trocar home")]
     Home(OperatorArgs),
-    /// Clear a latched fault: from FAULT to DISABLED. A run that a fault has ended refuses it.
+    /// Clear a latched fault of simulated arms that hold with it (`fault.ends_run = false`): from FAULT to DISABLED. Any other fault, and always
+    /// one of arms on CAN or of another process, ends its run, so that there is none to clear: start a new run.
     #[command(after_help = "Example: trocar clear")]
     Clear(OperatorArgs),
     /// Lower the speed limits of a run to a share of the configured ones, or raise them again.

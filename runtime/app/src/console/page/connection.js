@@ -4,11 +4,16 @@ import { SCENE } from "./scene_file.js";
 
 const RETRY_MS = [250, 500, 1000, 2000, 3000];
 
+// Of a page the run takes 200 messages a second, and has 8 on their way to it: 125 of hands leave room for so many acknowledgements.
+const ACKNOWLEDGE_MS = 25;
+const UNACKNOWLEDGED_MAX = 6;
+
 export class Connection {
   #socket = null;
   #tries = 0;
   #over = false;
   #seen = 0;
+  #acknowledged = -Infinity;
   #heard = 0;
 
   /** `on.text(message)`, `on.picture(view, seconds, blob)`, `on.places(buffer, seconds)`, `on.open()`, `on.change(link)` with open, lost or over. */
@@ -85,9 +90,10 @@ export class Connection {
   // The run sends no more than a few messages ahead of this.
   #acknowledge() {
     this.#seen += 1;
-    if (this.#seen >= 2) {
-      this.send({ seen: this.#seen });
-      this.#seen = 0;
-    }
+    const now = performance.now();
+    if (this.#seen < 2 || (this.#seen < UNACKNOWLEDGED_MAX && now - this.#acknowledged < ACKNOWLEDGE_MS)) return;
+    this.send({ seen: this.#seen });
+    this.#seen = 0;
+    this.#acknowledged = now;
   }
 }

@@ -24,8 +24,8 @@ const DEAD_ZONE = 0.15;
 const DRAG_RAD = 3;
 const WHEEL_M = 0.0001;
 const WHEEL_RAD = 0.002;
-const TICK_M_MAX = 0.05;
-const TICK_RAD_MAX = 0.2;
+const DRAG_M_S_MAX = 2.5;
+const DRAG_RAD_S_MAX = 10;
 
 /** No motion. */
 export const still = () => ({ clutch: false, way: [0, 0, 0], turn: [0, 0, 0], jaw: 0 });
@@ -79,6 +79,29 @@ export class Keyboard {
 export function gamepads() {
   const all = navigator.getGamepads ? [...navigator.getGamepads()] : [];
   return all.filter((pad) => pad && pad.connected && pad.mapping === "standard");
+}
+
+/** Which of the page's keys a gamepad's buttons are: Start, A, Select, B, RB. */
+const PAD_KEYS = [[9, "g"], [0, "y"], [8, "z"], [1, "x"], [5, "b"]];
+
+/** The keys of the page that a gamepad holds. */
+export const padKeys = (pad) => PAD_KEYS.filter(([index]) => pad.buttons[index]?.pressed).map(([, keys]) => keys);
+
+/** Presses of devices' buttons. One that is held as its device is first looked at is none. */
+export class Presses {
+  #held = new Map();
+
+  /** What has been pressed since the last look, of each device with what it holds. */
+  take(devices) {
+    const before = this.#held;
+    this.#held = new Map(devices);
+    return devices.flatMap(([device, held]) => held.filter((keys) => before.has(device) && !before.get(device).includes(keys)));
+  }
+
+  /** Nobody has looked meanwhile. */
+  clear() {
+    this.#held.clear();
+  }
 }
 
 /** Which gamepad moves an arm: one that comes to it with its clutch held has to let go first. */
@@ -176,15 +199,16 @@ export class Drag {
     this.#turn = [0, 0, 0];
   }
 
-  /** The hand's way, m, and turn, rad, since the last call, where the picture is `wide_m` of the hand's way wide. A hand has its pace: what it could not do yet is left. */
-  take(wide_m) {
+  /** The hand's way, m, and turn, rad, of so many seconds, where the picture is `wide_m` of the hand's way wide. A hand has its pace: what it could not do yet is left. */
+  take(wide_m, seconds) {
     const part = (left, unit, most) => {
       const asked = left.map((value, axis) => value * unit[axis]);
       const share = Math.min(1, most / Math.max(1e-9, Math.hypot(...asked)));
       left.forEach((value, axis) => { left[axis] = value * (1 - share); });
       return asked.map((value) => value * share);
     };
-    return { way: part(this.#way, [wide_m, wide_m, 1], TICK_M_MAX), turn: part(this.#turn, [1, 1, 1], TICK_RAD_MAX) };
+    const [most_m, most_rad] = [DRAG_M_S_MAX * seconds, DRAG_RAD_S_MAX * seconds];
+    return { way: part(this.#way, [wide_m, wide_m, 1], most_m), turn: part(this.#turn, [1, 1, 1], most_rad) };
   }
 }
 

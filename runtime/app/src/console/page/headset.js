@@ -1,6 +1,16 @@
 // A headset's controllers as hands, by WebXR: a session in the headset, a picture in front of the viewer, one controller an arm.
 
-import { rounded } from "./hands.js";
+import { Presses, rounded } from "./hands.js";
+
+/** At most one message of hands in this time, ms: the run refuses a page that tells more than 200 a second, and displays have up to 144 frames. */
+const TELL_MS = 11;
+
+/** Which of the page's keys the buttons of controllers are, by xr-standard: A starts, and then keeps; B discards; X does it again; Y hands back. */
+const BUTTON_KEYS = { right: [[4, "gy"], [5, "x"]], left: [[4, "z"], [5, "b"]] };
+/** How far a thumbstick is pushed before it turns the scene. */
+const STICK_DEAD = 0.2;
+/** The squeeze. */
+const CLUTCH = 1;
 
 const QUAD = {
   vertex: "attribute vec2 at; uniform mat4 clip; varying vec2 uv; void main() { uv = at * vec2(0.5, -0.5) + 0.5; gl_Position = clip * vec4(at * 0.7, -1.4, 1.0); }",
@@ -16,11 +26,15 @@ export class Headset {
   #offered = false;
   #eyes;
   #more;
+  #presses = new Presses();
+  #told = -Infinity;
+  #before = null;
 
   /**
    * `tell(arms)` gets the hands of each frame, `arms()` says how many there are; `eyes.images()` are what the left and the right eye see,
    * `eyes.want(on)` asks for them, `eyes.uploaded(image)` hears what the frame being drawn shows anew; `more.words()` are the lines to read there,
-   * `more.scene(canvas)` is what draws the scene for an eye, if it is to be seen there.
+   * `more.scene(canvas)` is what draws the scene for an eye, if it is to be seen there; while no clutch is held `more.turn(x, y, seconds)` hears how a
+   * thumbstick turns it, and `more.press(keys)` of a press which of the page's keys it is.
    */
   constructor(tell, arms, eyes, more) {
     this.#tell = tell;
@@ -52,17 +66,22 @@ export class Headset {
     session.addEventListener("end", () => this.#ended());
     // Hidden by the headset's own menu, or taken off: hands let go.
     session.addEventListener("visibilitychange", () => {
-      if (session.visibilityState !== "visible") this.#tell(this.#none());
+      if (session.visibilityState === "visible") return;
+      this.#presses.clear();
+      this.#tell(this.#none());
     });
     this.#space = await session.requestReferenceSpace("local");
     this.#screen = await Screen.open(session).catch(() => null);
     this.#eyes.want(true);
-    session.requestAnimationFrame((time, frame) => this.#frame(frame));
+    session.requestAnimationFrame((time, frame) => this.#frame(time, frame));
     document.getElementById("enter-vr-text").textContent = "Leave the headset";
   }
 
   #ended() {
     this.#session = null;
+    this.#before = null;
+    this.#told = -Infinity;
+    this.#presses.clear();
     this.#screen = null;
     this.#eyes.want(false);
     document.getElementById("enter-vr-text").textContent = "Enter the headset";
@@ -73,10 +92,10 @@ export class Headset {
     return Array.from({ length: this.#arms() }, () => null);
   }
 
-  #frame(frame) {
+  #frame(now, frame) {
     const session = this.#session;
     if (!session) return;
-    session.requestAnimationFrame((time, next) => this.#frame(next));
+    session.requestAnimationFrame((time, next) => this.#frame(time, next));
     const arms = this.#none();
     for (const source of session.inputSources) {
       const index = this.#armOf(source);
@@ -84,8 +103,28 @@ export class Headset {
         arms[index] = hand(source, frame.getPose(source.gripSpace, this.#space));
       }
     }
-    this.#tell(arms);
+    // On average, so that each frame of a display of 90 Hz tells though some come a little early.
+    if (now >= this.#told + TELL_MS) {
+      this.#told = Math.max(this.#told + TELL_MS, now - TELL_MS);
+      this.#tell(arms);
+    }
+    if (session.visibilityState === "visible") this.#listen(session.inputSources, now);
     this.#screen?.draw(frame, this.#space, this.#eyes, this.#more);
+  }
+
+  /** Buttons and thumbsticks of the controllers, which mean something while no clutch is held. */
+  #listen(sources, now) {
+    const seconds = Math.min(0.05, (now - (this.#before ?? now)) / 1000);
+    this.#before = now;
+    const controllers = [...sources].filter(({ handedness, gamepad }) => gamepad && BUTTON_KEYS[handedness]);
+    const held = ({ handedness, gamepad }) => BUTTON_KEYS[handedness].filter(([index]) => gamepad.buttons[index]?.pressed).map(([, keys]) => keys);
+    const presses = this.#presses.take(controllers.map((source) => [source.handedness, held(source)]));
+    if (controllers.some(({ gamepad }) => gamepad.buttons[CLUTCH]?.pressed)) return;
+    for (const keys of presses) this.#more.press(keys);
+    for (const { gamepad } of controllers) {
+      const [x, y] = [2, 3].map((axis) => gamepad.axes?.[axis] ?? 0);
+      if (Math.hypot(x, y) > STICK_DEAD) this.#more.turn(x, y, seconds);
+    }
   }
 
   // Of two arms the left hand has the second: psm1 is on the right in the picture. Of one arm the right hand has it.
@@ -100,7 +139,7 @@ function hand(source, pose) {
   const { position, orientation } = pose.transform;
   const buttons = source.gamepad?.buttons ?? [];
   return {
-    clutch: Boolean(buttons[1]?.pressed),
+    clutch: Boolean(buttons[CLUTCH]?.pressed),
     tracked: true,
     at: [position.x, position.y, position.z].map(rounded),
     turn: [orientation.x, orientation.y, orientation.z, orientation.w].map(rounded),

@@ -10,6 +10,9 @@ const CAMERA_COLOUR = [0.3, 0.9, 1, 1];
 
 /** Where the scene stands in a headset's space, twice as large: in front of the viewer, below the picture, its z upwards. */
 const IN_HEADSET = new DOMMatrix().translate(0, -0.8, -0.95).rotate(-90, 0, 0).scale3d(2);
+/** How fast a thumbstick that is pushed to its end turns it there, degrees a second, and how far it tilts. */
+const STICK_DEG_S = 90;
+const TILT_DEG_MAX = 90;
 
 export class Scene {
   #drawing = null;
@@ -20,6 +23,8 @@ export class Scene {
   #paths = [];
   #home = HOME;
   #eye = structuredClone(HOME);
+  /** How it is turned in a headset, degrees. */
+  #stands = { turn: 0, tilt: 0 };
   #turned = false;
   #asked = false;
   #rests = false;
@@ -42,6 +47,7 @@ export class Scene {
     };
     byId("scene-home").onclick = () => {
       this.#turned = false;
+      this.#stands = { turn: 0, tilt: 0 };
       this.#goHome();
     };
     this.#steer();
@@ -68,11 +74,21 @@ export class Scene {
       this.#far.drawing.set(this.#nodes);
     }
     const { drawing } = this.#far;
-    const back = IN_HEADSET.inverse();
+    const { turn, tilt } = this.#stands;
+    const { centre } = this.#home;
+    const place = IN_HEADSET.translate(...centre).rotateAxisAngle(1, 0, 0, tilt).rotateAxisAngle(0, 0, 1, turn).translate(...centre.map((value) => -value));
+    const back = place.inverse();
     return (clip, at) => {
       const { x, y, z } = back.transformPoint(at);
-      drawing.paint({ eye: clip.multiply(IN_HEADSET).toFloat32Array(), from: [x, y, z], ...this.#seen() });
+      drawing.paint({ eye: clip.multiply(place).toFloat32Array(), from: [x, y, z], ...this.#seen() });
     };
+  }
+
+  /** A thumbstick that is pushed to x, y for so long turns it in the headset: to the side about its vertical, away and nearer about the viewer's x. */
+  turnInHeadset(x, y, seconds) {
+    const { turn, tilt } = this.#stands;
+    const step = STICK_DEG_S * seconds;
+    this.#stands = { turn: turn + step * x, tilt: Math.min(TILT_DEG_MAX, Math.max(-TILT_DEG_MAX, tilt + step * y)) };
   }
 
   /** A run has a scene, or has none. */

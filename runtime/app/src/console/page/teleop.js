@@ -1,12 +1,12 @@
 // The panel of teleoperation: which arm which device moves, and the hands that the run is told of.
 
-import { Drag, Keyboard, Mover, VirtualHand, gamepads } from "./hands.js";
+import { Drag, Keyboard, Mover, Presses, VirtualHand, gamepads, padKeys, padMotion } from "./hands.js";
 import { Headset } from "./headset.js";
 import { SpaceMouse, canConnect } from "./spacemouse.js";
 import { byId, takesLetters } from "./dom.js";
 
-// Fifty a second; the run lets go of what it does not hear of for a tenth of a second.
-const EVERY_MS = 20;
+// As often as the run looks at the hands; it lets go of what it does not hear of for a tenth of a second.
+const EVERY_MS = 8;
 /** How wide a picture is for a hand where it is not known what it shows, m. */
 const PICTURE_M = 0.2;
 /** An angle that is heard is not said anew for each degree. */
@@ -22,6 +22,7 @@ export class Teleop {
   #names = [];
   #hands = [new VirtualHand(), new VirtualHand()];
   #movers = [new Mover(), new Mover()];
+  #presses = new Presses();
   #keyboard = new Keyboard();
   #cap = new SpaceMouse();
   #picture = null;
@@ -45,7 +46,12 @@ export class Teleop {
       },
       uploaded: (image) => cameras.uploaded(image),
     };
-    const more = { words: () => this.#lines(), scene: (canvas) => scene.inHeadset(canvas) };
+    const more = {
+      words: () => [...this.#lines(), ...said()],
+      scene: (canvas) => scene.inHeadset(canvas),
+      turn: (...push) => scene.turnInHeadset(...push),
+      press: (keys) => this.#press(keys),
+    };
     this.headset = new Headset((arms) => this.#tell(arms), () => this.#status?.arms.length ?? 1, eyes, more);
     this.#listen();
     setInterval(() => this.#tick(), EVERY_MS);
@@ -159,10 +165,16 @@ export class Teleop {
     if (event.ctrlKey || event.altKey || event.metaKey || event.repeat || byId("teleop").hidden) return;
     if (takesLetters(event.target)) return;
     const button = document.querySelector(`#teleop button[data-key="${CSS.escape(event.key.toLowerCase())}"]`);
-    if (button && !button.disabled && !button.closest("[hidden]")) {
+    if (button && canBeClicked(button)) {
       event.preventDefault();
       button.click();
     }
+  }
+
+  /** A device's button is the page's button of one of these keys, the first that can be clicked: of the episode, of a robot's run, or to hand back. */
+  #press(keys) {
+    const buttons = [...keys].flatMap((key) => [...document.querySelectorAll(`:is(#teleop, #mark) button[data-key="${key}"]`)]);
+    buttons.find(canBeClicked)?.click();
   }
 
   #hidden() {
@@ -202,9 +214,24 @@ export class Teleop {
     const seconds = Math.min(0.05, (now - this.#before) / 1000);
     this.#before = now;
     if (this.#status?.desk) byId("device").textContent = "Devices: those at the robot's computer.";
-    if (!this.#status || this.#status.desk || !this.#open || !this.#steers || document.hidden || this.headset.running) return;
-    const count = this.#status.arms.length;
+    if (this.#status?.desk || !this.#open || !this.#steers || document.hidden || this.headset.running) {
+      this.#presses.clear();
+      return;
+    }
     const pads = gamepads();
+    if (this.#status) this.#move(pads, now, seconds);
+    this.#listenTo(pads);
+  }
+
+  /** Buttons of gamepads, which mean something while no clutch is held. */
+  #listenTo(pads) {
+    const presses = this.#presses.take(pads.map((pad) => [pad.index, padKeys(pad)]));
+    const clutch = this.#hands.some((hand) => hand.clutch) || pads.some((pad) => padMotion(pad).clutch);
+    if (!clutch) presses.forEach((keys) => this.#press(keys));
+  }
+
+  #move(pads, now, seconds) {
+    const count = this.#status.arms.length;
     const alone = count === 1 || pads.length < 2;
     const motions = Array.from({ length: count }, (_, arm) =>
       this.#movers[arm].motion(alone ? (arm === this.#arm ? pads[0] : undefined) : pads[arm]));
@@ -229,7 +256,7 @@ export class Teleop {
       const cap = this.#cap.motion(now, hand.jaw);
       hand.move(keys, seconds);
       hand.move(cap, seconds);
-      hand.move(this.#drag.take(this.#wide(index)), 1);
+      hand.move(this.#drag.take(this.#wide(index), seconds), 1);
       hand.jaw = Math.min(1, Math.max(0, hand.jaw + (keys.jaw + cap.jaw) * seconds));
     }
     return hand.told;
@@ -251,7 +278,9 @@ export class Teleop {
     const able = this.#open && this.#steers;
     for (const control of document.querySelectorAll("#teleop button, #teleop input")) control.disabled = !able;
     if (this.#status) this.#showDriver(this.#status);
-    this.headset.offer([byId("enter-vr"), byId("align-row"), byId("scene-vr-row")], able);
+    const mono = this.#picture && this.#picture.right === null;
+    byId("mono").hidden = true;
+    this.headset.offer([byId("enter-vr"), byId("align-row"), byId("scene-vr-row"), ...(mono ? [byId("mono")] : [])], able);
   }
 
   /** Who drives, where a policy does too. */
@@ -294,6 +323,14 @@ export class Teleop {
     }
   }
 }
+
+/** What the page says of the episode under way, or of the mark of a robot's run. */
+function said() {
+  const lines = [["episode", "episode-state"], ["mark", "mark-state"]];
+  return lines.filter(([group]) => !byId(group).hidden).map(([, line]) => byId(line).textContent);
+}
+
+const canBeClicked = (button) => !button.disabled && !button.closest("[hidden]");
 
 function word(arm, { driver, align_deg }, step_deg) {
   if (driver === "policy" && !arm.engaged) return "follows the policy";

@@ -31,6 +31,9 @@ pub(super) use shapes::Shapes;
 const POSE_BYTES: usize = 28;
 const VECTOR_BYTES: usize = 12;
 
+/// Of each bent shape the number of its visual and its positions, m.
+type BentPositions = Vec<(usize, Vec<[f32; 3]>)>;
+
 /// The file of `model` as it is in `start`, with the limits of `arms`.
 ///
 /// Its first nodes are the model's visuals, in their order; the next ones its cameras; what follows does not move.
@@ -124,8 +127,8 @@ pub(super) fn places(message: &[u8]) -> Option<(Vec<Pose>, Vec<Pose>)> {
     Some((visuals, poses.collect()))
 }
 
-/// The bent shapes that a message of [`message`] says, each with the number of its visual and its positions, m; none if it is no such message.
-fn bent(message: &[u8]) -> Option<Vec<(usize, Vec<[f32; 3]>)>> {
+/// The bent shapes that a message of [`message`] says; none if it is no such message.
+fn bent(message: &[u8]) -> Option<BentPositions> {
     let [visuals, cameras, shapes] = counts(message)?;
     let poses = visuals.checked_add(cameras)?.checked_mul(POSE_BYTES)?;
     let mut rest = message.get(encode::HEAD + 12..)?.get(poses..)?;

@@ -1,4 +1,4 @@
-//! Demonstrations: episodes of the expert, written as a LeRobot v3 dataset.
+//! Demonstrations: episodes of the expert, or of a policy of the caller's, written as a LeRobot v3 dataset.
 
 mod by_hand;
 mod failures;
@@ -26,7 +26,7 @@ use self::page::{EpisodePage, RecordPage};
 use self::resume::{Found, look};
 use super::episode::{Episode, EpisodeObserver, StepView};
 use super::run::next_simulation;
-use super::source::STEP_NS;
+use super::source::{ChunkSource, MakeSource, STEP_NS};
 use super::{Plan, PolicyChoice, SessionError, Setup, parallel};
 
 /// What to record.
@@ -195,6 +195,53 @@ pub fn record(
     stop: &(dyn Fn() -> bool + Sync),
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
+    record_by(plan, options, None, stop, on_attempt)
+}
+
+/// The same with a policy of the caller's in the place of the expert, asked at every policy step: the action is the first target of its chunk, which
+/// is executed after the latency of `plan`. That names it by [`PolicyChoice::Own`], and so does the dataset. `make` makes the policy of each job in
+/// its thread, and one more at first; it is reset with the seed of each attempt.
+///
+/// # Errors
+/// Those of [`record`] and of `make`; [`SessionError::BadArgument`] for a policy that is not asked at every step, and for disturbances, which are
+/// the expert's.
+pub fn record_with(
+    plan: &Plan,
+    options: &RecordOptions,
+    make: MakeSource<'_>,
+    stop: &(dyn Fn() -> bool + Sync),
+    on_attempt: &mut dyn FnMut(&Attempt),
+) -> Result<RecordSummary, SessionError> {
+    check_own(plan, options, &make()?)?;
+    record_by(plan, options, Some(make), stop, on_attempt)
+}
+
+/// A policy of the caller's has to demonstrate every step, undisturbed and by its name.
+fn check_own(
+    plan: &Plan,
+    options: &RecordOptions,
+    source: &ChunkSource,
+) -> Result<(), SessionError> {
+    let (name, every) = (plan.policy.name(), source.query_every_steps());
+    let wrong = if !matches!(plan.policy, PolicyChoice::Own(_)) {
+        "the plan has to name the policy of record_with by PolicyChoice::Own".to_owned()
+    } else if options.disturb.is_some() {
+        "only demonstrations of the expert can be disturbed".to_owned()
+    } else if every != 1 {
+        format!("it is asked every {every} policy steps, and a demonstration has an action of each")
+    } else {
+        return Ok(());
+    };
+    Err(SessionError::BadArgument(format!("policy {name}: {wrong}")))
+}
+
+fn record_by(
+    plan: &Plan,
+    options: &RecordOptions,
+    make: Option<MakeSource<'_>>,
+    stop: &(dyn Fn() -> bool + Sync),
+    on_attempt: &mut dyn FnMut(&Attempt),
+) -> Result<RecordSummary, SessionError> {
     let Begun {
         mut summary,
         mut attempts,
@@ -224,7 +271,10 @@ pub fn record(
             // What is cut off loses no more than these.
             options.jobs,
             stop,
-            || Ok(demonstrator(plan, first, options, (stop, page.as_ref()))),
+            || {
+                let page = page.as_ref();
+                Ok(demonstrator(plan, first, options, make, (stop, page)))
+            },
             &mut |index, demo: Option<Demonstration>| {
                 // Behind an abandoned attempt nothing counts: seeds have no gaps.
                 if let Some(demo) = demo.filter(|_| index == done) {
@@ -397,10 +447,12 @@ fn demonstrator<'a>(
     plan: &'a Plan,
     first: u64,
     options: &'a RecordOptions,
+    make: Option<MakeSource<'a>>,
     (stop, page): (&'a (dyn Fn() -> bool + Sync), Option<&'a RecordPage<'a>>),
 ) -> impl FnMut(usize) -> Result<Option<Demonstration>, SessionError> {
     let setup = &plan.setup;
     let mut cameras: Option<SceneCameras> = None;
+    let mut own: Option<ChunkSource> = None;
     move |index| {
         let seed = first.wrapping_add(index as u64);
         let share = options.disturb.unwrap_or(0.0);
@@ -413,7 +465,11 @@ fn demonstrator<'a>(
         let mut task = setup.task.clone();
         task.time_limit_s *= f64::from(time_factor);
         let mut simulation = next_simulation(&task, seed, cameras.take(), true)?;
-        let mut source = setup.source(&plan.policy, seed, plan.compute)?;
+        let mut source = match make {
+            Some(make) => own.take().map_or_else(make, Ok)?,
+            None => setup.source(&plan.policy, seed, plan.compute)?,
+        };
+        source.reset(seed);
         let mut controller = setup.controller()?;
         let mut diary = Diary {
             cameras: setup.cameras_with(Vec::new()),
@@ -437,14 +493,17 @@ fn demonstrator<'a>(
             end => end?,
         };
         cameras = simulation.into_cameras();
+        let note = EpisodeNote {
+            seed,
+            grasps: source.attempts(),
+            drawn: task.drawn(seed),
+            disturbances: disturber.map(|it| it.happened().to_vec()),
+            by_hand: by_hand_note(plan, &source),
+        };
+        // Others are made with the seed.
+        own = Some(source).filter(|source| matches!(source, ChunkSource::Policy(_)));
         Ok(Some(Demonstration {
-            note: EpisodeNote {
-                seed,
-                grasps: source.attempts(),
-                drawn: task.drawn(seed),
-                disturbances: disturber.map(|it| it.happened().to_vec()),
-                by_hand: by_hand_note(plan, &source),
-            },
+            note,
             reason: end.reason(),
             outcome: end.outcome,
             steps: diary.frames.len(),

@@ -34,13 +34,14 @@ struct OptionsNote<'a> {
     patient: Option<&'a PatientPlacement>,
     varied: &'a [Variation],
     disturb: Option<f64>,
-    /// `teleop` if a person did them, `intervention` if one took over from a policy, `simulated-operator`; none of the expert's.
+    /// `teleop` if a person did them, `intervention` if one took over from a policy, `simulated-operator`, `policy` if it was the caller's; none of
+    /// the expert's.
     source: Option<&'static str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     operator_delay_ms: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     operator_tremor_mm: Option<f64>,
-    /// That policy.
+    /// The policy of an intervention, or the caller's.
     #[serde(skip_serializing_if = "Option::is_none")]
     policy: Option<String>,
     /// SHA-256 of its weights, which another training in the same folder changes.
@@ -72,7 +73,7 @@ struct RecordingNote<'a> {
     /// What the simulated operator is like.
     #[serde(skip_serializing_if = "Option::is_none")]
     operator: Option<OperatorFigures>,
-    /// The policy from which a person took over.
+    /// The policy from which a person took over, or the caller's.
     #[serde(skip_serializing_if = "Option::is_none")]
     policy: Option<String>,
     /// SHA-256 of its weights.
@@ -144,6 +145,9 @@ pub(super) fn source(plan: &Plan) -> Option<&'static str> {
     if operator(plan).is_some() {
         return Some(OPERATOR);
     }
+    if is_own(plan) {
+        return Some("policy");
+    }
     let by_hand = plan.policy == PolicyChoice::Teleop;
     plan.demonstrates
         .then_some(if by_hand { "teleop" } else { "intervention" })
@@ -169,10 +173,16 @@ fn operator(plan: &Plan) -> Option<OperatorFigures> {
     }
 }
 
-/// The policy from which a person may take over.
+/// Whether a policy of the caller's demonstrates by itself.
+const fn is_own(plan: &Plan) -> bool {
+    matches!(plan.policy, PolicyChoice::Own(_)) && !plan.demonstrates
+}
+
+/// The policy from which a person may take over, or that of the caller's.
 fn policy(plan: &Plan) -> Option<String> {
     let policy = Some(&plan.policy).filter(|policy| **policy != PolicyChoice::Teleop);
-    policy.filter(|_| plan.demonstrates).map(PolicyChoice::name)
+    let policy = policy.filter(|_| plan.demonstrates || is_own(plan));
+    policy.map(PolicyChoice::name)
 }
 
 /// What is said of the recording as a whole, the task's name among it; nothing if it is of the plain kind.

@@ -1,7 +1,7 @@
 //! Teleoperation: an operator's hands, which a page of the console or devices here (`desk`) tell of, as a source of chunks like any policy.
 //!
 //! ```text
-//!  page ── hands, 50 a second ──> console's thread: `message` checks, `Hands` holds the newest and each arm's `Clutch`
+//!  page ── hands, 125 a second ─> console's thread: `message` checks, `Hands` holds the newest and each arm's `Clutch`
 //!                                                      │ looked at every 8 ms
 //!  control thread ── newest command (mailbox) ──> `Teleop`: chunk ──> gate, filter, smoother, guard
 //! ```

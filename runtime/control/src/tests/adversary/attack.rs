@@ -35,6 +35,8 @@ pub(super) struct Attack {
     pub(super) follows: f64,
     /// How far each arm's yaw is off, rad.
     pub(super) off_rad: f64,
+    /// Whether yaw and pitch are as quick as the margins allow; of one arm.
+    pub(super) quick: bool,
     /// Whether the guard takes no note of how far the arms lag behind.
     pub(super) lag_ignored: bool,
     /// Whether Clarabel solves each of the filter's problems again.
@@ -54,6 +56,7 @@ impl Attack {
             trouble: true,
             follows: 1.0,
             off_rad: 0.0,
+            quick: false,
             lag_ignored: false,
             second_opinion: false,
         }
@@ -61,7 +64,11 @@ impl Attack {
 
     /// Plays it on one arm or two; gives the figures and the violations that the judge found.
     pub(super) fn play<const ARMS: usize>(&self) -> (Figures, Vec<String>) {
-        let mut scene = Scene::of_arms(ARMS);
+        let mut scene = if self.quick {
+            Scene::quick()
+        } else {
+            Scene::of_arms(ARMS)
+        };
         if self.open_gate {
             scene = scene.open_gate();
         }

@@ -24,6 +24,26 @@ impl Scene {
         )
     }
 
+    /// The same with yaw and pitch so quick that they gain all of their speed during a stop, and with the least guard margin that is
+    /// accepted for it.
+    pub(in crate::tests) fn quick() -> Self {
+        let control = ControlConfig::default_control().text().replace(
+            "acceleration_rad_s2 = 4.0\njerk_rad_s3 = 80.0",
+            "acceleration_rad_s2 = 14.0\njerk_rad_s3 = 150.0",
+        );
+        let safety = include_str!("../scenes/crowded.toml")
+            .replace("guard_m = 0.0003", "guard_m = 0.00048")
+            .replace("filter_m = 0.0015", "filter_m = 0.00168");
+        let scene = Self::new(
+            Source::embedded("control.toml", &control),
+            Source::embedded("crowded.toml", &safety),
+        );
+        let quick = &scene.config.axes[..2];
+        assert!(quick.iter().all(|axis| axis.acceleration > 13.0));
+        assert!(scene.config.margins.guard_m < 0.0005);
+        scene
+    }
+
     /// Two arms that reach for each other.
     pub(in crate::tests) fn handover() -> Self {
         Self::new(

@@ -6,6 +6,7 @@ use trocar_render::Optics;
 use trocar_world::rng::Rng;
 
 use super::Variation;
+use crate::task::CameraConfig;
 
 /// By which share the ray in the furthest corner of the pinhole's picture is moved outwards by the radial distortion of the second
 /// power: inwards mostly, as endoscopes do. `k1` follows from it and the field of view.
@@ -36,7 +37,7 @@ const FOG: f64 = 0.5;
 pub struct Lens {
     /// The lens' distortion, the scene file's included: `k1`, `k2`, `p1`, `p2` of [`Distortion`].
     pub distortion: [f64; 4],
-    /// Share of the light that is lost in the corner.
+    /// Share of the light that is lost in the corner, the scene file's included.
     pub vignette: f64,
     /// Factor of the light that the sensor collects.
     pub exposure: f64,
@@ -55,10 +56,11 @@ pub struct Lens {
 }
 
 impl Lens {
-    /// That of the camera `name`, which has `intrinsics`, in the episode `seed`. No camera's depends on what others there are.
-    pub(super) fn draw(seed: u64, name: &str, intrinsics: &Intrinsics) -> Self {
+    /// That of `camera` in the episode `seed`. No camera's depends on what others there are.
+    pub(super) fn draw(seed: u64, camera: &CameraConfig) -> Self {
+        let intrinsics = camera.intrinsics();
         let mut air = Rng::stream(seed, "smoke");
-        let mut rng = Rng::stream(seed, &format!("lens {name}"));
+        let mut rng = Rng::stream(seed, &format!("lens {}", camera.name));
         let corner =
             |centre: f64, size: u32, focal: f64| centre.max(f64::from(size) - centre) / focal;
         let r2 = corner(intrinsics.cx, intrinsics.width, intrinsics.fx).powi(2)
@@ -72,7 +74,8 @@ impl Lens {
                 p1 + within([-TANGENTIAL, TANGENTIAL]),
                 p2 + within([-TANGENTIAL, TANGENTIAL]),
             ],
-            vignette: within([0.0, VIGNETTE]),
+            // Of what the lens of the scene file lets through.
+            vignette: camera.vignette + (1.0 - camera.vignette) * within([0.0, VIGNETTE]),
             exposure: within([-1.0, 1.0].map(|it| it * EXPOSURE_FACTOR.ln())).exp(),
             shot_noise: within([0.0, SHOT_NOISE]),
             read_noise: within([0.0, READ_NOISE]),
@@ -83,17 +86,17 @@ impl Lens {
         }
     }
 
-    /// What is left of it with the effects in `varied` alone, on a camera that has `intrinsics` without them.
-    pub(super) fn with(self, varied: &[Variation], intrinsics: &Intrinsics) -> Self {
+    /// What is left of it with the effects in `varied` alone, on `camera`, which is what it is without them.
+    pub(super) fn with(self, varied: &[Variation], camera: &CameraConfig) -> Self {
         let has = |effect| varied.contains(&Variation::Lens) || varied.contains(&effect);
         let or = |effect, drawn: f64, none: f64| if has(effect) { drawn } else { none };
         Self {
             distortion: if has(Variation::Distortion) {
                 self.distortion
             } else {
-                intrinsics.distortion.coefficients()
+                camera.distortion
             },
-            vignette: or(Variation::Vignette, self.vignette, 0.0),
+            vignette: or(Variation::Vignette, self.vignette, camera.vignette),
             exposure: or(Variation::Exposure, self.exposure, 1.0),
             shot_noise: or(Variation::Noise, self.shot_noise, 0.0),
             read_noise: or(Variation::Noise, self.read_noise, 0.0),

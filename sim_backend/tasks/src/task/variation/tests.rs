@@ -154,6 +154,42 @@ fn lenses_are_the_episodes() {
     }
 }
 
+/// A lens of the scene file dims its own camera's corners, and what is drawn takes its share of what that lets through.
+#[test]
+fn the_scene_files_vignette_is_in_every_episode() {
+    let plain = small("block-transfer");
+    assert!(plain.cameras.iter().all(|camera| camera.vignette <= 0.0));
+    let mut dim = plain.clone();
+    dim.cameras[0].vignette = 0.8;
+    let (before, cameras) = frames(&plain, 3, None);
+    let (seen, _) = frames(&dim, 3, cameras);
+    let bytes = |frame: &CameraFrame| -> u64 {
+        let bytes = frame.colour.iter();
+        bytes.map(|byte| u64::from(*byte)).sum()
+    };
+    let [now, clean] = [&seen[0], &before[0]].map(bytes);
+    assert!(100 * now < 98 * clean, "{now} {clean}");
+    let middle = 3 * (96 * 48 + 48);
+    for (now, clean) in seen[0].colour[middle..middle + 3]
+        .iter()
+        .zip(&before[0].colour[middle..middle + 3])
+    {
+        assert!(now.abs_diff(*clean) < 3, "{now} {clean}");
+    }
+    assert_eq!(seen[0].depth_m, before[0].depth_m);
+    assert!(planes(&seen[1..]) == planes(&before[1..]));
+    let name = plain.cameras[0].name.clone();
+    let vary = |task: &TaskConfig, effect| task.clone().with_variations(&[effect]).unwrap();
+    let drawn = |task: &TaskConfig, seed| task.drawn(seed).lenses[&name].vignette;
+    let [clean, worn] = [&plain, &dim].map(|task| vary(task, Variation::Vignette));
+    let exposed = vary(&dim, Variation::Exposure);
+    for seed in 0..20 {
+        let left = 0.2 * (1.0 - drawn(&clean, seed));
+        assert!((1.0 - drawn(&worn, seed) - left).abs() < 1e-12);
+        assert!((drawn(&exposed, seed) - 0.8).abs() < 1e-12);
+    }
+}
+
 /// Smoke alone changes colours alone, and only in the episodes that have some.
 #[test]
 fn smoke_can_be_alone() {

@@ -110,8 +110,11 @@ fn view2_swaps_calibrated_lenses() {
         cx_px: 250.0,
         cy_px: 265.0,
     });
+    camera.vignette = 0.25;
     let before = camera.intrinsics();
-    let after = task.with_view(View::View2).unwrap().cameras[side].intrinsics();
+    let seen = task.with_view(View::View2).unwrap().cameras[side].clone();
+    let after = seen.intrinsics();
+    assert_eq!(seen.vignette.to_bits(), 0.25_f64.to_bits());
     assert_eq!((after.width, after.height), (256, 128));
     let ray = [0.1, -0.2];
     let ([u, v], [small_u, small_v]) = (before.pixel(ray), after.pixel(ray));

@@ -19,8 +19,22 @@ use crate::rt::{self, MonotonicClock, Periodic};
 use crate::session::summary::CanSummary;
 use crate::session::{Robot, SessionError, can_interfaces};
 
+/// The buses of all arms, and what a person should know before drives are enabled.
+pub(in super::super) struct Opened {
+    buses: Vec<SocketBus<CanClock>>,
+    warnings: Vec<String>,
+}
+
+/// What the margins of `robot` do not hold of the lag of its arms at the cycle of `can`.
+fn lag_warnings(robot: &Robot, can: &CanOptions) -> Vec<String> {
+    let arms = can.config.arms.iter().take(robot.arms());
+    let cycle_ns = arms.map(|arm| arm.plan.cycle_ns).max();
+    let lines = cycle_ns.map(|cycle_ns| robot.control.lag_beyond_margins(cycle_ns));
+    lines.unwrap_or_default()
+}
+
 impl ArmLink for CanOptions {
-    type Opened = Vec<SocketBus<CanClock>>;
+    type Opened = Opened;
     type Ready = Vec<ReadyArm>;
     type Rig = CanRig;
 
@@ -36,7 +50,10 @@ impl ArmLink for CanOptions {
         check(&robot.name, robot.arms(), &self.config)?;
         let arms = self.config.arms.iter().take(robot.arms());
         let buses = arms.map(|arm| can_interfaces::open(&arm.interfaces, clock));
-        buses.collect()
+        Ok(Opened {
+            buses: buses.collect::<Result<_, _>>()?,
+            warnings: lag_warnings(robot, self),
+        })
     }
 
     fn buses(&self, arms: usize) -> (Vec<String>, u32) {
@@ -50,11 +67,14 @@ impl ArmLink for CanOptions {
 
     fn bring_up(
         &self,
-        buses: Self::Opened,
+        opened: Self::Opened,
         _clock: MonotonicClock,
         say: PrintLine<'_>,
     ) -> Result<Self::Ready, SessionError> {
-        bring_up(self, buses, say)
+        for warning in &opened.warnings {
+            say(&format!("trocar: warning: {warning}"));
+        }
+        bring_up(self, opened.buses, say)
     }
 
     fn await_world(
@@ -107,5 +127,39 @@ impl ArmLink for CanOptions {
 
     fn summary(&self, rig: &CanRig) -> Option<CanSummary> {
         Some(summary(rig, self))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use hal::config::Source;
+    use trocar_canopen::master::CanConfig;
+
+    use super::{CanOptions, lag_warnings};
+    use crate::session::{PolicyChoice, Setup};
+
+    /// Two arms on one bus have a cycle whose lag the margins don't hold; one arm at the shipped cycle has none to tell of.
+    #[test]
+    fn a_cycle_whose_lag_margins_do_not_hold_is_named() {
+        let warnings = |task: &str, cycle: &str| {
+            let setup = Setup::load(task, None, &PolicyChoice::Expert).unwrap();
+            let text = CanConfig::shipped()
+                .text()
+                .replace("cycle_us = 2000", cycle);
+            let source = Source::embedded("can.toml", &text);
+            let (can, _) = CanOptions::load(&source, "lab").unwrap();
+            lag_warnings(&setup.robot, &can)
+        };
+        let none = Vec::<String>::new();
+        assert_eq!(warnings("needle-lift", "cycle_us = 2000"), none);
+        let two = warnings("needle-handover", "cycle_us = 4000");
+        let [filter, guard] = two.as_slice() else {
+            panic!("{two:?}");
+        };
+        assert!(
+            filter.contains("13.0 ms behind their commands, 1.84 mm at full speed"),
+            "{filter}"
+        );
+        assert!(guard.contains("up to 0.33 mm during a stop"), "{guard}");
     }
 }
