@@ -295,7 +295,11 @@ fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {
 }
 
 /// Policy steps between queries: the user's number, which a chunk of `steps` must last for, or `usual`.
-pub(super) fn query_every(options: &TrainingOptions, usual: u32, steps: i64) -> Result<u32, SessionError> {
+pub(super) fn query_every(
+    options: &TrainingOptions,
+    usual: u32,
+    steps: i64,
+) -> Result<u32, SessionError> {
     let every = options.query_every.unwrap_or(usual);
     if i64::from(every) <= steps {
         return Ok(every);
