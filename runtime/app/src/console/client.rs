@@ -21,7 +21,7 @@ use super::log_view::LogView;
 use super::request::{Request, TokenBucket, command};
 use super::seats::{Seat, Taken};
 use super::shared::Shared;
-use crate::rt::MonotonicClock;
+use crate::rt::{MonotonicClock, slow_motion};
 use crate::session::operator::Command;
 use crate::session::teleop::ReleaseCause;
 use hal::TimeNs;
@@ -97,7 +97,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
         moved: false,
         on_the_way: 0,
         heard: clock.now(),
-        allowance: TokenBucket::new(clock.now()),
+        allowance: TokenBucket::new(page_time(clock.now())),
         clock,
         shared,
         seat,
@@ -185,7 +185,7 @@ impl Page {
             return Err(Disconnected);
         };
         self.heard = self.clock.now();
-        if !self.allowance.take(self.heard) {
+        if !self.allowance.take(page_time(self.heard)) {
             close(socket, close_code::POLICY, "too many messages").await?;
             return Err(Disconnected);
         }
@@ -393,6 +393,11 @@ impl Page {
         }
         None
     }
+}
+
+/// The time of a page, whose messages are bounded by it: browsers are not slowed down where the clocks of this process are.
+fn page_time(now: TimeNs) -> TimeNs {
+    TimeNs(now.0.saturating_mul(slow_motion()))
 }
 
 /// What `receiver` holds if that is new and not empty.
