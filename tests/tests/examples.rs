@@ -4,6 +4,10 @@
     unreachable_pub,
     reason = "each example has a main of its own"
 )]
+#![expect(
+    clippy::unwrap_used,
+    reason = "in a test, a failure to set up is a failure"
+)]
 
 #[path = "../../runtime/control/examples/own_arm.rs"]
 mod own_arm;
@@ -98,8 +102,8 @@ fn a_rig_of_another_number_of_arms_is_refused() {
     assert!(refused.contains("the rig has 1 arms"), "{refused}");
 }
 
-/// An own robot led by the committed policy for needle lift, whose endoscope an own camera shows with `side` by `side` pixels, and its log.
-fn led_by_sight(side: u32) -> (Result<RunResult, SessionError>, PathBuf) {
+/// An own robot driven by the committed policy for needle lift, whose endoscope an own camera shows with `side` by `side` pixels, and its log.
+fn driven_by_sight(side: u32) -> (Result<RunResult, SessionError>, PathBuf) {
     let log = scratch(&format!("own-robot-sees-{side}")).join("run.mcap");
     let topics = format!("own-robot-{side}-{}", std::process::id());
     let safety = repository().join("config/tasks/needle-lift/safety.toml");
@@ -121,8 +125,8 @@ fn led_by_sight(side: u32) -> (Result<RunResult, SessionError>, PathBuf) {
 
 /// The log has what the policy saw.
 #[test]
-fn a_committed_policy_leads_an_own_robot_by_an_own_camera() {
-    let (result, log) = led_by_sight(512);
+fn a_committed_policy_drives_an_own_robot_by_an_own_camera() {
+    let (result, log) = driven_by_sight(512);
     let result = result.unwrap();
     let summary = result.summary;
     assert!(result.ok, "{summary:?}");
@@ -144,7 +148,7 @@ fn a_committed_policy_leads_an_own_robot_by_an_own_camera() {
 
 #[test]
 fn an_own_camera_of_another_size_is_refused() {
-    let refused = led_by_sight(256).0.unwrap_err().to_string();
+    let refused = driven_by_sight(256).0.unwrap_err().to_string();
     assert!(
         refused.contains("camera endoscope on topics")
             && refused.contains("shows 256 x 256 pixels, the policy was trained with 512 x 512"),

@@ -81,6 +81,16 @@ fn shading_is_full_unless_the_scene_says_plain() {
     );
 }
 
+/// That the scene with `new` in place of the line that begins with `old` is refused with that line and `key`.
+fn is_refused_by_line(old: &str, new: &str, key: &str) {
+    let (source, line) = doctored(old, new);
+    let message = TaskConfig::parse("mine", &source).unwrap_err().to_string();
+    assert!(
+        message.starts_with(&format!("scene.toml:{line}: {key}")),
+        "{message}"
+    );
+}
+
 #[test]
 fn value_out_of_range_is_named_with_line_key_and_range() {
     for (old, new, key) in [
@@ -125,6 +135,14 @@ fn value_out_of_range_is_named_with_line_key_and_range() {
             "arm.0.joints.2 = 0.3 is outside",
         ),
         ("up", "up = [0.0, 0.0, 2.0]", "camera.0.up.2 = 2 is outside"),
+    ] {
+        is_refused_by_line(old, new, key);
+    }
+}
+
+#[test]
+fn camera_that_cannot_be_is_named_with_line_and_key() {
+    for (old, new, key) in [
         (
             "name = \"side\"",
             "name = \"endoscope\"",
@@ -147,12 +165,7 @@ fn value_out_of_range_is_named_with_line_key_and_range() {
             "camera.1.arm = 0 is outside cameras with mount = \"wrist\"",
         ),
     ] {
-        let (source, line) = doctored(old, new);
-        let message = TaskConfig::parse("mine", &source).unwrap_err().to_string();
-        assert!(
-            message.starts_with(&format!("scene.toml:{line}: {key}")),
-            "{message}"
-        );
+        is_refused_by_line(old, new, key);
     }
 }
 
