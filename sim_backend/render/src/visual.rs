@@ -171,6 +171,9 @@ pub struct Visual {
     /// Whether it stands where its mesh has it, in one frame with all others that do, in every picture. Finely shaded, these keep the light
     /// from all around off each other.
     pub is_still: bool,
+    /// Where on the endless pattern of its material the middle of what is painted on it lies, mm: surfaces of one material with different places
+    /// don't look alike.
+    pub pattern_at_mm: [f32; 2],
 }
 
 impl Visual {
@@ -183,7 +186,15 @@ impl Visual {
             material,
             instance,
             is_still: false,
+            pattern_at_mm: [0.0; 2],
         }
+    }
+
+    /// The same with another part of its material's pattern; see [`Self::pattern_at_mm`].
+    #[must_use]
+    pub const fn with_pattern_at(mut self, at_mm: [f32; 2]) -> Self {
+        self.pattern_at_mm = at_mm;
+        self
     }
 
     /// The same where it never moves; see [`Self::is_still`].

@@ -9,7 +9,7 @@ use hal::count::count_u32;
 use wgpu::util::DeviceExt;
 
 use super::textures::texture;
-use crate::visual::{Material, Pattern};
+use crate::visual::{Backdrop, Material, Pattern, Visual};
 
 /// Side of the square that a pattern is painted in, m; beyond it the pattern is mirrored.
 pub(super) const PATTERN_SIZE_M: f32 = 0.18;
@@ -37,30 +37,59 @@ pub(super) struct Paints {
 /// A layer of the images.
 struct Painted {
     key: Key,
+    wanted: Wanted,
+}
+
+/// A square of a material's pattern.
+#[derive(Clone, Copy)]
+pub(super) struct Wanted {
+    pattern: Pattern,
     base_colour: [f32; 3],
+    /// Where its middle is, see [`Visual::pattern_at_mm`].
+    at_mm: [f32; 2],
     size_m: f32,
 }
 
-/// What makes two surfaces the same layer: pattern, bits of its colour and of the side of its square.
-type Key = (u32, [u32; 3], u32);
+impl Wanted {
+    /// The one of a thing.
+    pub(super) const fn of(visual: &Visual) -> Self {
+        Self {
+            at_mm: visual.pattern_at_mm,
+            ..Self::middle(&visual.material, PATTERN_SIZE_M)
+        }
+    }
+
+    /// The one of what is behind all things.
+    pub(super) const fn behind(backdrop: &Backdrop) -> Self {
+        Self::middle(&backdrop.material, BACKDROP_SIZE_M)
+    }
+
+    const fn middle(material: &Material, size_m: f32) -> Self {
+        Self {
+            pattern: material.pattern,
+            base_colour: material.base_colour,
+            at_mm: [0.0; 2],
+            size_m,
+        }
+    }
+}
+
+/// What makes two surfaces the same layer: pattern, bits of its colour, of the middle and of the side of its square.
+type Key = (u32, [u32; 3], [u32; 2], u32);
 
 impl Paints {
-    /// Paints what `materials` ask for, each in a square of its side, m.
-    pub(super) fn new<'a>(
+    /// Paints each of `squares` once.
+    pub(super) fn new(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        materials: impl IntoIterator<Item = (&'a Material, f32)>,
+        squares: impl IntoIterator<Item = Wanted>,
     ) -> Self {
         let mut painted: Vec<Painted> = Vec::new();
-        for (material, size_m) in materials {
-            if let Some(key) = key(material, size_m)
+        for wanted in squares {
+            if let Some(key) = key(&wanted)
                 && !painted.iter().any(|known| known.key == key)
             {
-                painted.push(Painted {
-                    key,
-                    base_colour: material.base_colour,
-                    size_m,
-                });
+                painted.push(Painted { key, wanted });
             }
         }
         let layers = count_u32(painted.len());
@@ -98,13 +127,13 @@ impl Paints {
         })
     }
 
-    /// The layer in which `material` was painted in a square of `size_m`; 0 if it has no pattern.
+    /// The layer in which `wanted` was painted; 0 if it has no pattern.
     #[expect(
         clippy::cast_precision_loss,
         reason = "a scene has a handful of layers"
     )]
-    pub(super) fn layer(&self, material: &Material, size_m: f32) -> f32 {
-        let Some(wanted) = key(material, size_m) else {
+    pub(super) fn layer(&self, wanted: &Wanted) -> f32 {
+        let Some(wanted) = key(wanted) else {
             return 0.0;
         };
         let found = self.painted.iter().position(|known| known.key == wanted);
@@ -114,8 +143,8 @@ impl Paints {
 }
 
 /// With the pattern's number of `bake.wgsl`; none if nothing is painted.
-fn key(material: &Material, size_m: f32) -> Option<Key> {
-    let pattern = match material.pattern {
+fn key(wanted: &Wanted) -> Option<Key> {
+    let pattern = match wanted.pattern {
         Pattern::Smooth | Pattern::Brushed => return None,
         Pattern::Muscle => 1,
         Pattern::Liver => 2,
@@ -124,8 +153,9 @@ fn key(material: &Material, size_m: f32) -> Option<Key> {
         Pattern::Cloth => 5,
         Pattern::Membrane => 6,
     };
-    let colour = material.base_colour.map(f32::to_bits);
-    Some((pattern, colour, size_m.to_bits()))
+    let colour = wanted.base_colour.map(f32::to_bits);
+    let at = wanted.at_mm.map(f32::to_bits);
+    Some((pattern, colour, at, wanted.size_m.to_bits()))
 }
 
 fn layered(
@@ -241,12 +271,14 @@ impl<'a> Painter<'a> {
     }
 
     fn paint_record(&self, painted: &Painted) -> wgpu::BindGroup {
-        let colour = painted.base_colour.iter();
+        let wanted = &painted.wanted;
+        let colour = wanted.base_colour.iter();
         let mut bytes: Vec<u8> = colour.flat_map(|c| c.to_ne_bytes()).collect();
         bytes.extend(1_i32.to_ne_bytes());
         #[expect(clippy::cast_precision_loss, reason = "a power of two")]
-        let sizes = [PATTERN_PX as f32, painted.size_m * 1e3, 0.0, 0.0];
-        bytes.extend(sizes.iter().flat_map(|size| size.to_ne_bytes()));
+        let sizes = [PATTERN_PX as f32, wanted.size_m * 1e3];
+        let numbers = sizes.iter().chain(&wanted.at_mm);
+        bytes.extend(numbers.flat_map(|number| number.to_ne_bytes()));
         let buffer = self
             .device
             .create_buffer_init(&wgpu::util::BufferInitDescriptor {

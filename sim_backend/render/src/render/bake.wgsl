@@ -11,8 +11,8 @@ struct Paint {
     // Side of the image, texels and mm.
     size_px: f32,
     size_mm: f32,
-    unused_0: f32,
-    unused_1: f32,
+    // Where on the endless pattern its middle is, mm.
+    middle_mm: vec2f,
 }
 
 @group(0) @binding(0) var<uniform> paint: Paint;
@@ -212,7 +212,7 @@ fn cloth(p: vec2f) -> Look {
 // Step one: colours and heights.
 @fragment
 fn look(@builtin(position) at: vec4f) -> Painted {
-    let p = (at.xy / paint.size_px - 0.5) * paint.size_mm;
+    let p = (at.xy / paint.size_px - 0.5) * paint.size_mm + paint.middle_mm;
     var found: Look;
     switch PATTERN {
         case 1u: { found = muscle(p); }

@@ -30,7 +30,7 @@ pub use error::RenderError;
 pub use optics::Optics;
 
 use crate::visual::{Backdrop, Visual};
-use bake::{BACKDROP_SIZE_M, PATTERN_SIZE_M, Paints};
+use bake::{Paints, Wanted};
 use gpu::Gpu;
 use lens::LensPass;
 use pipelines::{Pipelines, SHADOW_MAP_PX};
@@ -121,11 +121,9 @@ impl Renderer {
     ) -> Result<Self, RenderError> {
         let _turn = OPENING.lock().unwrap_or_else(PoisonError::into_inner);
         let gpu = Gpu::open()?;
-        let things = visuals
-            .iter()
-            .map(|visual| (&visual.material, PATTERN_SIZE_M));
-        let materials = things.chain([(&backdrop.material, BACKDROP_SIZE_M)]);
-        let paints = Paints::new(&gpu.device, &gpu.queue, materials);
+        let things = visuals.iter().map(Wanted::of);
+        let squares = things.chain([Wanted::behind(backdrop)]);
+        let paints = Paints::new(&gpu.device, &gpu.queue, squares);
         let mut scene = Scene::upload(&gpu.device, visuals, &paints)?;
         if shading == Shading::Fine {
             scene.bake(&gpu.queue);
@@ -141,7 +139,7 @@ impl Renderer {
             stations: Stations::default(),
             lens_pass: None,
             backdrop: *backdrop,
-            backdrop_layer: paints.layer(&backdrop.material, BACKDROP_SIZE_M),
+            backdrop_layer: paints.layer(&Wanted::behind(backdrop)),
             shading,
         })
     }

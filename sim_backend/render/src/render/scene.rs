@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Point3};
 use wgpu::util::DeviceExt;
 
 use super::RenderError;
-use super::bake::{PATTERN_SIZE_M, Paints};
+use super::bake::{Paints, Wanted};
 use super::occlusion::{self, Baked};
 use super::records::{Eye, OBJECT_STRIDE, Records, put, put_matrix};
 use crate::visual::{Material, Pattern, Visual};
@@ -64,7 +64,7 @@ impl Scene {
             };
             let base_vertex = i32::try_from(vertex_count).map_err(|_| too_many())?;
             let end = index_count.checked_add(new_indices).ok_or_else(too_many)?;
-            let layer = paints.layer(&visual.material, PATTERN_SIZE_M);
+            let layer = paints.layer(&Wanted::of(visual));
             parts.push(Part::new(visual, layer, index_count..end, base_vertex));
             index_count = end;
             vertex_count = vertex_count

@@ -98,6 +98,25 @@ fn a_pattern_goes_where_its_surface_goes() {
     assert!(apart(&left_behind) > 4.0, "{}", apart(&left_behind));
 }
 
+/// As two patients' livers do.
+#[test]
+fn another_part_of_a_pattern_looks_different() {
+    let patch = Visual::new("patch", height_field(0.06, 0.06, 8, |_, _| 0.0), MUSCLE, 1);
+    let shot = |at_mm: [f32; 2]| {
+        let patch = patch.clone().with_pattern_at(at_mm);
+        let mut renderer = Renderer::new(&[patch]).unwrap();
+        shoot(&mut renderer, &[Pose::identity()], &endoscope(96))
+    };
+    let [middle, again, far] = [[0.0; 2], [0.0; 2], [700.0, -300.0]].map(shot);
+    assert!(middle.colour == again.colour);
+    assert!(middle.instance == far.instance);
+    let on_patch = |pixel: &usize| middle.instance[*pixel] == 1;
+    let pixels: Vec<usize> = (0..middle.instance.len()).filter(on_patch).collect();
+    let difference = |&pixel: &usize| (grey(&middle, pixel) - grey(&far, pixel)).abs();
+    let apart = pixels.iter().map(difference).sum::<f64>() / pixels.len() as f64;
+    assert!(apart > 4.0, "{apart} over {} pixels", pixels.len());
+}
+
 #[test]
 fn edges_are_smooth_in_colour_and_sharp_in_ids() {
     let white = Material {

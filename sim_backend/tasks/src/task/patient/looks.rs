@@ -1,5 +1,8 @@
 //! What tissue groups look like to the renderer.
 
+use hal::mesh::single;
+use hal::random::{SplitMix64, fnv_1a};
+use nalgebra::Vector3;
 use trocar_anatomy::assets::Part;
 use trocar_render::visual::{Material, Pattern};
 
@@ -45,6 +48,19 @@ pub(super) fn name(part: &Part) -> &'static str {
 /// Whether a group holds the belly's organs or lies beyond the diaphragm: an endoscope in the belly is within.
 pub(super) fn is_wall(part: &Part) -> bool {
     known(part).2
+}
+
+/// How far from its middle parts of a pattern are taken, mm.
+const PATTERN_MM: f64 = 2000.0;
+
+/// Which part of its pattern an organ shows, mm: as the hash of its name and its vertices says, so no two organs and no two patients look alike.
+pub(super) fn pattern_at_mm(part: &Part) -> [f32; 2] {
+    let vertices = part.mesh.positions.iter().flatten();
+    let shape = vertices.flat_map(|along_m| along_m.to_le_bytes());
+    let mut random = SplitMix64::new(fnv_1a(part.name.bytes().chain(shape)));
+    let [x, y] = [(); 2].map(|()| PATTERN_MM * random.signed_unit());
+    let [x, y, _] = single(&Vector3::new(x, y, 0.0));
+    [x, y]
 }
 
 /// How the surface of a tissue group answers light: colour, roughness and film are the asset's, the pattern goes by the name. Liver and

@@ -4,8 +4,10 @@
 //! The patient is turned so that a patch on the organ's front on which the task can be done faces the instruments, the widest, then the flattest,
 //! the head away from the viewer, and raised so that the patch is where the task has its ground. Patches are tried in this order until a flap lies
 //! on one, or a needle comes to rest there. The organ is rounded between its vertices, once for physics and pictures alike: what is felt is a table
-//! of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in the way.
+//! of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in the way. Which part of a pattern an organ
+//! shows depends on its shape.
 
+mod ceiling;
 mod incision;
 mod looks;
 mod neighbours;
@@ -23,7 +25,7 @@ use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_anatomy::assets::{self, Part};
 use trocar_render::shapes::placed;
-use trocar_render::visual::{Backdrop, Material, Visual, instance};
+use trocar_render::visual::{Backdrop, Visual, instance};
 use trocar_world::needle::NeedleShape;
 use trocar_world::organ::{Organ, OrganShape};
 use trocar_world::tissue::Ground;
@@ -177,6 +179,7 @@ impl SceneFile {
         let organ = own.take(1).map(|part| {
             let material = tissue_material(part);
             Visual::new(looks::name(part), drawn.clone(), material, instance::ORGAN)
+                .with_pattern_at(looks::pattern_at_mm(part))
         });
         organ.chain(around).map(Visual::still).collect()
     }
@@ -262,9 +265,10 @@ impl Patient {
         self.visuals.clone()
     }
 
-    /// The surface of the organ.
-    pub(super) fn material(&self) -> Material {
-        self.visuals[0].material
+    /// A part of the organ of its own: what is called `name` has the surface of the organ.
+    pub(super) fn of_its_tissue(&self, name: &'static str, mesh: Mesh, instance: u8) -> Visual {
+        let organ = &self.visuals[0];
+        Visual::new(name, mesh, organ.material, instance).with_pattern_at(organ.pattern_at_mm)
     }
 }
 

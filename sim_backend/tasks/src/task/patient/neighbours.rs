@@ -2,28 +2,26 @@
 
 use hal::mesh::single;
 use hal::{Mesh, Pose};
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use trocar_anatomy::assets::Part;
 use trocar_render::shapes::placed;
 use trocar_render::visual::{Visual, instance};
 
-use super::looks::{is_wall, name, tissue_material};
-use super::relief::Relief;
+use super::ceiling::Ceiling;
+use super::looks::{is_wall, name, pattern_at_mm, tissue_material};
+use super::rounding;
 
-/// How far away they are still drawn, m: cameras see no further.
-const FAR_M: f32 = 0.20;
-/// How far the organ's own height is looked up, and at which distances, m.
-const HALF_M: f64 = 0.20;
-const SPACING_M: f64 = 0.004;
-/// Radius of the place of work, m; height up to which neighbours stand there, m, and how much higher for each metre beyond: gas and the
-/// assistant hold away what is higher.
-const WORK_M: f64 = 0.040;
-const LEVEL_M: f64 = -0.004;
-const RISE: f64 = 0.7;
-/// Faces whose normal's height is less look down and are hidden.
-const DOWN: f32 = -0.5;
-/// How far below the organ's surface they are where they would lie on it at work, m.
-const UNDER_M: f64 = 0.008;
+/// How far away one begins that is not drawn, m: cameras see no further.
+const FAR_M: f64 = 0.20;
+/// Edges are halved until they are shorter, m, at that distance and nearer, m, and not below that height, m.
+const EDGE_M: f64 = 0.012;
+const NEAR_EDGE_M: f64 = 0.006;
+const NEAR_M: f64 = 0.10;
+const DEEP_M: f64 = -0.08;
+/// How thick the layer below the ceiling is into which all that is higher is pressed, m.
+const LAYER_M: f64 = 0.025;
+/// Least share of its height that an organ keeps as far as its normals say: it still looks round.
+const ROUND: f64 = 0.3;
 
 /// What is seen of the other organs in the cavity of the belly; `organ` is the one that is worked on, drawn as `drawn` in the scene frame.
 pub(super) fn around(
@@ -32,47 +30,65 @@ pub(super) fn around(
     parts: &[Part],
     scene_from_scan: &Pose,
 ) -> Vec<Visual> {
-    let relief = Relief::of(drawn, &Pose::identity(), [HALF_M; 2], SPACING_M);
+    let ceiling = Ceiling::over(drawn);
     let others = parts
         .iter()
         .filter(|part| part.name != organ && !is_wall(part));
     let visual = |part: &Part| {
         let mesh = placed(part.mesh.clone(), scene_from_scan);
-        let mesh = seen(pressed(mesh, &relief));
-        Visual::new(name(part), mesh, tissue_material(part), instance::NEIGHBOUR)
+        is_near(&mesh).then(|| {
+            let mesh = pressed(rounding::finer(mesh, edge_m), &ceiling);
+            Visual::new(name(part), mesh, tissue_material(part), instance::NEIGHBOUR)
+                .with_pattern_at(pattern_at_mm(part))
+        })
     };
-    let visuals = others.map(visual);
-    visuals
-        .filter(|visual| !visual.mesh.indices.is_empty())
-        .collect()
+    others.filter_map(visual).collect()
 }
 
-/// The mesh with nothing above the level of the work or, at work, over the organ; normals stay, so it still looks round.
-fn pressed(mut mesh: Mesh, relief: &Relief) -> Mesh {
-    for position in &mut mesh.positions {
-        let mut at = Point3::from(position.map(f64::from));
-        let beyond_m = at.x.hypot(at.y) - WORK_M;
-        let organ_m = relief.near_m(at.x, at.y).filter(|_| beyond_m < 0.0);
-        let level_m = LEVEL_M + RISE * beyond_m.max(0.0);
-        let most_m = organ_m.map_or(level_m, |height_m| level_m.min(height_m - UNDER_M));
-        if at.z > most_m {
-            at.z = most_m;
-            *position = single(&at.coords);
+/// Whether a camera can see some of it. It is drawn as a whole then, and stays closed: also what hangs over a camera has an underside.
+fn is_near(mesh: &Mesh) -> bool {
+    let distance_m = |p: &[f32; 3]| f64::from(p[0].hypot(p[1]));
+    mesh.positions.iter().any(|p| distance_m(p) <= FAR_M)
+}
+
+/// How long edges may be at `at`, m: coarse triangles are torn where the ceiling bends.
+fn edge_m(at: &Point3<f64>) -> Option<f64> {
+    let distance_m = at.x.hypot(at.y);
+    let edge_m = if distance_m <= NEAR_M {
+        NEAR_EDGE_M
+    } else {
+        EDGE_M
+    };
+    (distance_m <= FAR_M && at.z >= DEEP_M).then_some(edge_m)
+}
+
+/// The mesh pressed from above until all of it is below the ceiling. What was higher stays higher, however little: no face turns round, organs
+/// do not cross, and what is closed stays closed.
+fn pressed(mut mesh: Mesh, ceiling: &Ceiling) -> Mesh {
+    for (position, normal) in mesh.positions.iter_mut().zip(&mut mesh.normals) {
+        let mut at = Vector3::from(position.map(f64::from));
+        let ceiling_m = ceiling.height_m(at.x, at.y);
+        let above_m = at.z - (ceiling_m - LAYER_M);
+        if above_m > 0.0 {
+            let left = LAYER_M / (LAYER_M + above_m);
+            let slope = ceiling.slope(at.x, at.y);
+            let before = Vector3::from(normal.map(f64::from));
+            at.z = ceiling_m - LAYER_M * left;
+            *position = single(&at);
+            *normal = single(&leaned(&before, left * left, slope));
         }
     }
     mesh
 }
 
-/// The faces that a camera above or beside can see.
-fn seen(mut mesh: Mesh) -> Mesh {
-    let at = |index: u32| Point3::from(mesh.positions[index as usize]);
-    let shown = |face: &&[u32; 3]| {
-        let [a, b, c] = face.map(at);
-        let near = [a, b, c].iter().any(|p| p.x.hypot(p.y) <= FAR_M);
-        let normal = (b - a).cross(&(c - a));
-        near && normal.z > DOWN * normal.norm()
-    };
-    let faces = mesh.indices.as_chunks::<3>().0;
-    mesh.indices = faces.iter().filter(shown).flatten().copied().collect();
-    mesh
+/// The normal of a surface of which a share of the height is kept over ground of a `slope`.
+fn leaned(normal: &Vector3<f64>, kept: f64, [along_x, along_y]: [f64; 2]) -> Vector3<f64> {
+    let kept = kept.max(ROUND);
+    let lean = (1.0 - kept) * normal.z;
+    let leaned = Vector3::new(
+        kept * normal.x - lean * along_x,
+        kept * normal.y - lean * along_y,
+        normal.z,
+    );
+    leaned.normalize()
 }

@@ -88,17 +88,6 @@ impl Relief {
         })
     }
 
-    /// The height at the point nearest to (`x`, `y`), m; none where there is nothing.
-    pub(super) fn near_m(&self, x: f64, y: f64) -> Option<f64> {
-        let index = |axis: usize, at: f64| {
-            let index = ((at - self.low_m[axis]) / self.spacing_m).round();
-            (index >= 0.0 && whole(index) < self.points[axis]).then(|| whole(index))
-        };
-        let (column, row) = (index(0, x)?, index(1, y)?);
-        let height_m = self.heights_m[row * self.points[0] + column];
-        (!height_m.is_nan()).then_some(height_m)
-    }
-
     /// The surface for physics, without what is too steep to be felt from above.
     pub(super) fn table(&self) -> Ground {
         let step_m = SLOPE_MAX * self.spacing_m;
@@ -143,11 +132,11 @@ fn twice_area([a, b, c]: &[Point2<f64>; 3]) -> f64 {
     clippy::cast_sign_loss,
     reason = "a grid has few points, and casts saturate"
 )]
-const fn whole(count: f64) -> usize {
+pub(super) const fn whole(count: f64) -> usize {
     count as usize
 }
 
 #[expect(clippy::cast_precision_loss, reason = "a grid has few points")]
-const fn real(index: usize) -> f64 {
+pub(super) const fn real(index: usize) -> f64 {
     index as f64
 }

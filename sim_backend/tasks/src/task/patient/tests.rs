@@ -26,6 +26,7 @@ use crate::task::suture_pad::SuturePad;
 use crate::task::tissue_retraction::TissueRetraction;
 use crate::task::{Outcome, TaskConfig, TaskFiles, TaskScene};
 
+mod neighbours;
 mod plateaus;
 
 /// A folder with a patient of a coarse grid, gone when this is.
@@ -64,8 +65,13 @@ impl Folder {
     }
 
     fn made(count: u32) -> Self {
-        let folder = Self::new(&format!("shared-{count}"));
-        let patient = phantom::Patient::new(7);
+        Self::with_phantom(&format!("shared-{count}"), 7)
+    }
+
+    /// The phantom of `seed` in a folder of its own.
+    fn with_phantom(test: &str, seed: u64) -> Self {
+        let folder = Self::new(test);
+        let patient = phantom::Patient::new(seed);
         phantom::write(&patient, Size([80, 80, 96]), &folder.0, |_, _| ()).unwrap();
         let groups = Groups::load("vista3d").unwrap();
         let labels = folder.0.join("labels.nii.gz");

@@ -321,8 +321,9 @@ impl TaskScene for SuturePad {
         let mut visuals = if let Some(patient) = &self.patient {
             let [.., (ink, blue)] = LAYERS;
             let mut visuals = patient.visuals_in_scene();
+            let fold = Fold::of(&self.pad).mesh();
             visuals.extend([
-                still("fold", Fold::of(&self.pad).mesh(), patient.material()),
+                patient.of_its_tissue("fold", fold, instance::ORGAN).still(),
                 still(ink, self.pad.ink(), blue),
             ]);
             visuals

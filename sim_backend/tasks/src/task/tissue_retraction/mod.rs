@@ -204,12 +204,19 @@ impl TaskScene for TissueRetraction {
     fn visuals(&self) -> Vec<Visual> {
         let flap = self.tissue.surface();
         let mark = Patch::new(&flap, [0.0; 2], self.mark_radius_m);
-        let (mut visuals, skin) = match &self.patient {
-            Some(patient) => (patient.visuals_in_scene(), patient.material()),
-            None => (self.made_up(), SHEET),
+        let sheet = flap.mesh().clone();
+        let (mut visuals, flap) = match &self.patient {
+            Some(patient) => (
+                patient.visuals_in_scene(),
+                patient.of_its_tissue("flap", sheet, instance::TISSUE),
+            ),
+            None => (
+                self.made_up(),
+                Visual::new("flap", sheet, SHEET, instance::TISSUE),
+            ),
         };
         visuals.extend([
-            Visual::new("flap", flap.mesh().clone(), skin, instance::TISSUE),
+            flap,
             Visual::new("mark", mark.mesh().clone(), RED, instance::MARK),
         ]);
         visuals
