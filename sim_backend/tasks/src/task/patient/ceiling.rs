@@ -11,8 +11,8 @@ const WORK_M: f64 = 0.040;
 const LEVEL_M: f64 = -0.004;
 const RISE: f64 = 0.4;
 /// How far below the organ's surface they stay at work, m, and the slope at which they rise from there.
-const UNDER_M: f64 = 0.008;
-const STEEP: f64 = 1.2;
+const UNDER_M: f64 = 0.010;
+const STEEP: f64 = 1.6;
 /// Distance of the points of its table, m, how many there are along a side, and half the side, m.
 const SPACING_M: f64 = 0.004;
 const SIDE: usize = 101;

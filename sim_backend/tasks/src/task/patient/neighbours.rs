@@ -19,9 +19,9 @@ const NEAR_EDGE_M: f64 = 0.006;
 const NEAR_M: f64 = 0.10;
 const DEEP_M: f64 = -0.08;
 /// How thick the layer below the ceiling is into which all that is higher is pressed, m.
-const LAYER_M: f64 = 0.025;
+const LAYER_M: f64 = 0.018;
 /// Least share of its height that an organ keeps as far as its normals say: it still looks round.
-const ROUND: f64 = 0.3;
+const ROUND: f64 = 0.6;
 
 /// What is seen of the other organs in the cavity of the belly; `organ` is the one that is worked on, drawn as `drawn` in the scene frame.
 pub(super) fn around(

@@ -96,11 +96,11 @@ fn neighbours_are_closed_and_out_of_the_way() {
                 assert_eq!(open, 0, "seed {seed}, {organ}: {}", visual.name);
             }
             let backs = backs(&merged(&visuals, |_| true));
-            assert!(backs <= 4, "seed {seed}, {organ}: {backs}");
+            assert!(backs <= 8, "seed {seed}, {organ}: {backs}");
             let around = merged(&visuals, is_neighbour);
             assert!(!around.indices.is_empty(), "seed {seed}, {organ}");
             let covered = covered(&visuals[0].mesh, &around);
-            assert!(covered <= 6, "seed {seed}, {organ}: {covered}");
+            assert!(covered <= 8, "seed {seed}, {organ}: {covered}");
         }
     }
 }
