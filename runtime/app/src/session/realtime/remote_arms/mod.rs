@@ -67,7 +67,7 @@ pub(super) const FRAMES_WITHIN_MS: u64 = 40;
 
 /// How a run reaches arms outside of its process.
 pub(super) trait ArmLink: Sync {
-    /// The way to the arms, before anything is heard of them.
+    /// The way to the arms, before their first measurement.
     type Opened;
     /// The arms, of which it is known where they are, without torque.
     type Ready: Send;
