@@ -160,8 +160,11 @@ fn main() -> Result<(), SessionError> {
     let log = "runs/own_robot.mcap".into();
     let mut arguments = std::env::args().skip(1);
     let result = match (arguments.next(), arguments.next()) {
+        (None, _) => run(safety, log),
         (Some(policy), Some(topics)) => run_trained(safety, policy.as_ref(), &topics, log),
-        _ => run(safety, log),
+        (Some(_), None) => Err(SessionError::BadArgument(
+            "arguments: POLICY TOPICS, or none".to_owned(),
+        )),
     };
     let summary = result?.summary;
     println!(

@@ -12,6 +12,9 @@ use super::writer::LogWriter;
 /// What may be written between two checks of the size, at least, and the end: room for twice as much as between any two before, if that is more.
 pub(super) const SPARE_BYTES: u64 = 2 << 20;
 
+/// Of a file no more than this part is spare: what is written at once comes seldom.
+const SPARE_PART: u64 = 3;
+
 /// Of a file this part is for the index of its chunks, which ends it: one of 250 ticks takes 0.4 % of what it stands for.
 const INDEX_PART: u64 = 256;
 
@@ -39,8 +42,8 @@ pub(super) enum Fill {
 /// The bound of a log.
 pub(super) struct Bound {
     file_bytes_max: u64,
-    /// How large the file was when it was last checked, or had begun.
-    checked_bytes: u64,
+    /// How large the file was when it was last checked, or had begun; unknown until the first check, before which frames of a long start count.
+    checked_bytes: Option<u64>,
     /// The most that was written between two checks.
     growth_bytes_max: u64,
     run: RunHeader,
@@ -59,7 +62,7 @@ impl Bound {
         let file_bytes_max = bytes_max / 2;
         Self {
             file_bytes_max: file_bytes_max - file_bytes_max / INDEX_PART,
-            checked_bytes: size_bytes(path),
+            checked_bytes: None,
             growth_bytes_max: 0,
             run: run.clone(),
         }
@@ -68,11 +71,13 @@ impl Bound {
     /// Whether the file at `path`, all of which was flushed, may go on if it is to end with `end_bytes` more.
     pub(super) fn check(&mut self, path: &Path, end_bytes: u64) -> Fill {
         let bytes = size_bytes(path);
-        let growth_bytes = bytes.saturating_sub(self.checked_bytes);
+        let growth_bytes = bytes.saturating_sub(self.checked_bytes.unwrap_or(bytes));
         self.growth_bytes_max = self.growth_bytes_max.max(growth_bytes);
-        self.checked_bytes = bytes;
+        self.checked_bytes = Some(bytes);
         let left_bytes = self.file_bytes_max.saturating_sub(bytes + end_bytes);
-        let spare_bytes = SPARE_BYTES.max(2 * self.growth_bytes_max);
+        let spare_bytes = (2 * self.growth_bytes_max)
+            .min(self.file_bytes_max / SPARE_PART)
+            .max(SPARE_BYTES);
         if left_bytes > spare_bytes {
             Fill::HasRoom
         } else if left_bytes > spare_bytes / 2 {
@@ -84,7 +89,7 @@ impl Bound {
 
     /// The file at `path` has begun: what it begins with is flushed.
     pub(super) fn begin(&mut self, path: &Path) {
-        self.checked_bytes = size_bytes(path);
+        self.checked_bytes = Some(size_bytes(path));
     }
 
     /// Puts the file at `path` aside and begins the next one, after `ticks` ticks.
@@ -143,6 +148,18 @@ mod tests {
                 assert!(bytes + end_bytes <= half && waits > 0, "{told}");
                 assert!(bytes + end_bytes > half * 3 / 4, "{told}");
             }
+        }
+    }
+
+    /// What is written before the first check, such as frames while a run waits for its arms, is no measure of what comes between two.
+    #[test]
+    fn a_long_start_leaves_the_room_as_it_is() {
+        let file = Scratch::new("bound-start");
+        let sink = File::create(&file.0).unwrap();
+        let mut bound = Bound::new(256 << 20, &RunHeader::default(), &file.0);
+        for mib in 64..=124 {
+            sink.set_len(mib << 20).unwrap();
+            assert_eq!(bound.check(&file.0, 0), Fill::HasRoom, "{mib}");
         }
     }
 }

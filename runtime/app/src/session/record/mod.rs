@@ -199,8 +199,8 @@ pub fn record(
 }
 
 /// The same with a policy of the caller's in the place of the expert, asked at every policy step: the action is the first target of its chunk, which
-/// is executed after the latency of `plan`. That names it by [`PolicyChoice::Own`], and so does the dataset. `make` makes the policy of each job in
-/// its thread, and one more at first; it is reset with the seed of each attempt.
+/// is executed after the latency of `plan`, at once if that has none. The plan names it by [`PolicyChoice::Own`], and so does the dataset. `make` makes
+/// the policy of each job in its thread, anew where failed attempts are made up for, and one more at first; it is reset with the seed of each attempt.
 ///
 /// # Errors
 /// Those of [`record`] and of `make`; [`SessionError::BadArgument`] for a policy that is not asked at every step, and for disturbances, which are
@@ -213,6 +213,11 @@ pub fn record_with(
     on_attempt: &mut dyn FnMut(&Attempt),
 ) -> Result<RecordSummary, SessionError> {
     check_own(plan, options, &make()?)?;
+    // That of a network would leave nothing of a short chunk.
+    let plan = &Plan {
+        latency_ms: plan.latency_ms.or(Some(0)),
+        ..plan.clone()
+    };
     record_by(plan, options, Some(make), stop, on_attempt)
 }
 
