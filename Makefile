@@ -30,7 +30,7 @@ LINTED := $(if $(filter 1,$(TROCAR_LINT)),--bench '*' --examples)
 
 # Everything that can fail for a reason in this tree, of a release with assertions. What reads a clock, or waits for a bus, Python or a
 # person's hands, runs in turn; what needs no clock has the processor time that they leave, and so has the compiler once the first of them,
-# which mostly wait for their bus, are there. All is installed before: no two installers run at a time.
+# which mostly wait for their bus, are there.
 test: setup setup-can setup-python setup-anatomy setup-browser checked
 	$(CARGO) test --workspace --test can_bus --no-run
 	$(MAKE) -j2 --output-sync=target test-in-turn test-beside
@@ -97,7 +97,7 @@ test-study: setup setup-browser checked
 	$(CARGO) test --workspace --test study -- --include-ignored
 
 # The web console in a browser: it shows and steers a run, comes back after a cut, fits its window; pictures of it in target/scratch. One
-# browser at a time: hands that come late are let go.
+# of its tests at a time: hands that come late are let go.
 test-console: setup setup-browser checked
 	$(CARGO) test --workspace --test console -- --ignored --test-threads=1
 

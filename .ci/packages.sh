@@ -17,11 +17,17 @@ install_debian() {
         root=(sudo)
     fi
     say "installing Debian packages: ${missing[*]}"
+    # apt-get does not wait for another.
+    local lock="${XDG_CACHE_HOME:-$HOME/.cache}/trocar/debian-lock"
+    mkdir -p "$(dirname "$lock")"
+    exec 8>"$lock"
+    flock 8
     # A cut-off earlier installation leaves dpkg half configured; this finishes it.
     "${root[@]}" dpkg --configure -a >/dev/null 2>&1 || true
     "${root[@]}" apt-get update -qq || say 'the package lists could not be refreshed; trying with the old ones'
     "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
         die "apt-get could not install: ${missing[*]} (is the package mirror reachable?)"
+    exec 8>&-
 }
 
 install_npm() { command -v npm >/dev/null || install_debian npm; }
