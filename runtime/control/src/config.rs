@@ -171,8 +171,8 @@ impl ControlConfig {
             0.2,
         )?;
         let finger_speeds = FingerSpeeds::new(speed, turn, &axes, &arms);
-        check_tick(safety, &margins, &finger_speeds)?;
         check_reach(safety, &arms, &axes)?;
+        check_tick(safety, &margins, &finger_speeds)?;
         check_fault(control, &file)?;
         Ok(Self {
             axes,

@@ -16,12 +16,17 @@ const LAG_S: f64 = 0.004;
 /// What of it is the drives' own, s.
 const DRIVE_S: f64 = LAG_S - 2.0 * TICK_S;
 
+/// The largest margin, m.
+const MARGIN_M_MAX: f64 = 0.02;
+
 /// Upper bounds of the speed of a finger tip, m/s.
 pub(super) struct FingerSpeeds {
     /// At the limits.
     full_m_s: f64,
     /// What it gains at most during a stop.
     gained_m_s: f64,
+    /// The wrist's distance from the remote centre for which that is, m.
+    wrist_m: f64,
 }
 
 impl FingerSpeeds {
@@ -35,14 +40,17 @@ impl FingerSpeeds {
             axes.each_ref().map(gained);
         // Yaw and pitch turn about axes at right angles, and insertion is at right angles to both.
         let swing = yaw.hypot(pitch);
-        let turn = swing + roll + wrist_pitch;
-        let tip = (wrist_distance_m(axes, arms) * swing).hypot(insertion) + WRIST_M * turn;
+        // The shaft, about which it rolls, and the wrist's pitch axis are at right angles too.
+        let turn = swing + roll.hypot(wrist_pitch);
+        let wrist_m = wrist_distance_m(axes, arms);
+        let tip = (wrist_m * swing).hypot(insertion) + WRIST_M * turn;
         // Stops keep the limits of the tip's speeds as well.
         let angular = (turn + wrist_yaw).min(tip_angular_speed_rad_s);
         Self {
             full_m_s: tip_speed_m_s
                 + FINGER_M * (tip_angular_speed_rad_s + axes[JAW].velocity / 2.0),
             gained_m_s: tip.min(tip_speed_m_s) + FINGER_M * (angular + jaw / 2.0),
+            wrist_m,
         }
     }
 }
@@ -54,7 +62,8 @@ fn gained(axis: &AxisLimits) -> f64 {
 }
 
 /// The greatest distance from the remote centre to the wrist, m: by the insertion's range, and by the workspace, in which the control point
-/// stays. The wrist is bent by less than a right angle, so it is nearer than the control point.
+/// stays. The wrist is bent by less than a right angle, so it is nearer than the control point. At the shipped limits the insertion's range alone
+/// keeps the gain so low that the shipped margins hold it in every workspace.
 fn wrist_distance_m(axes: &[AxisLimits; AXES], arms: &[ArmConfig]) -> f64 {
     let deepest_m = axes[INSERTION].high - RCC_M + TOOL_M;
     let corners = arms.iter().map(|arm| furthest_corner_m(&arm.workspace));
@@ -78,15 +87,18 @@ pub(super) fn check_tick(
     speeds: &FingerSpeeds,
 ) -> Result<(), ConfigError> {
     let half_way_m = speeds.full_m_s * TICK_S / 2.0;
-    safety.check_range("margins.guard_m", margins.guard_m, half_way_m, 0.02)?;
+    safety.check_range("margins.guard_m", margins.guard_m, half_way_m, MARGIN_M_MAX)?;
     let gained_m = speeds.gained_m_s * LAG_S;
     if margins.guard_m < half_way_m + gained_m {
         let allowed = format!(
-            "at least {}: the {:.2} mm that a finger goes in half a tick and the {:.2} mm by which it falls further behind its setpoints \
-             during a stop, in which an axis gains up to acceleration^2 / (2 jerk) of limits.yaw to limits.jaw",
+            "[{}, {}]: it must be at least the {:.3} mm that a finger goes in half a tick and the {:.3} mm by which it falls further behind its \
+             setpoints during a stop, with the wrist up to {:.3} m from the remote centre (workspace, limits.insertion.high_m) and each axis \
+             gaining up to acceleration^2 / (2 jerk) of limits.yaw to limits.jaw",
             least_text(half_way_m + gained_m),
+            number_text(MARGIN_M_MAX),
             1e3 * half_way_m,
-            1e3 * gained_m
+            1e3 * gained_m,
+            speeds.wrist_m
         );
         let found = number_text(margins.guard_m);
         return Err(safety.out_of_range("margins.guard_m", &found, &allowed));
@@ -96,8 +108,9 @@ pub(super) fn check_tick(
         return Ok(());
     }
     let allowed = format!(
-        "at least {}: the guard's {} and the {:.2} mm that a finger is behind its setpoints at full speed",
+        "[{}, {}]: it must be at least the guard's {} and the {:.3} mm that a finger is behind its setpoints at full speed",
         least_text(margins.guard_m + lag_m),
+        number_text(MARGIN_M_MAX),
         number_text(margins.guard_m),
         1e3 * lag_m
     );
@@ -105,14 +118,18 @@ pub(super) fn check_tick(
     Err(safety.out_of_range("margins.filter_m", &found, &allowed))
 }
 
-/// A margin that is enough, in hundredths of a millimetre.
+/// A margin that is enough, m: whole hundredths of a millimetre.
+fn least_m(margin_m: f64) -> f64 {
+    (margin_m * 1e5).ceil() / 1e5
+}
+
 fn least_text(margin_m: f64) -> String {
-    format!("{:.5}", (margin_m * 1e5).ceil() / 1e5)
+    format!("{:.5}", least_m(margin_m))
 }
 
 impl ControlConfig {
     /// What a person should know before arms are enabled whose setpoints take effect at a SYNC every `cycle_ns`: a line for each margin that
-    /// is smaller than their lag, none if the margins hold it.
+    /// is smaller than their lag, none if the margins hold it. The guard's comes first: the filter's is for the guard margin which that asks for.
     ///
     /// A drive goes to a setpoint within the cycle after the SYNC, which is a cycle of lag. What it then measures is read from the next SYNC on,
     /// up to the last period before the one after: measured arms are up to three cycles behind, less a period. To both comes the drive's
@@ -131,32 +148,36 @@ impl ControlConfig {
         let Margins {
             filter_m, guard_m, ..
         } = self.margins;
-        let free_m = guard_m - speeds.full_m_s * TICK_S / 2.0;
-        let between_m = filter_m - guard_m;
+        let half_way_m = speeds.full_m_s * TICK_S / 2.0;
+        let free_m = guard_m - half_way_m;
         let (lag_m, gained_m) = (speeds.full_m_s * measured_s, speeds.gained_m_s * arm_s);
         let mut lines = Vec::new();
-        if lag_m > between_m {
-            lines.push(format!(
-                "arms with a SYNC every {:.1} ms are measured up to {:.1} ms behind their commands, {:.2} mm at full speed, and margins.filter_m = \
-                 {} leaves {:.2} mm beyond margins.guard_m: slower limits, a shorter cycle, or at least {} hold it",
-                1e3 * cycle_s,
-                1e3 * measured_s,
-                1e3 * lag_m,
-                number_text(filter_m),
-                1e3 * between_m,
-                least_text(guard_m + lag_m)
-            ));
-        }
+        let mut guard_least_m = guard_m;
         if gained_m > free_m {
+            guard_least_m = least_m(half_way_m + gained_m);
             lines.push(format!(
-                "arms with a SYNC every {:.1} ms fall further behind by up to {:.2} mm during a stop, and margins.guard_m = {} leaves {:.2} mm: \
-                 they may overstep a boundary by {:.2} mm; lower accelerations, a shorter cycle, or at least {} hold it",
+                "arms with a SYNC every {:.1} ms fall further behind by up to {:.3} mm during a stop, and margins.guard_m = {} leaves {:.3} mm: \
+                 they may overstep a boundary by {:.3} mm; lower accelerations, a shorter cycle, or margins.guard_m >= {} hold it",
                 1e3 * cycle_s,
                 1e3 * gained_m,
                 number_text(guard_m),
                 1e3 * free_m,
                 1e3 * (gained_m - free_m),
-                least_text(guard_m - free_m + gained_m)
+                number_text(guard_least_m)
+            ));
+        }
+        let between_m = filter_m - guard_least_m;
+        if lag_m > between_m {
+            lines.push(format!(
+                "arms with a SYNC every {:.1} ms are measured up to {:.1} ms behind their commands, {:.3} mm at full speed, and margins.filter_m = \
+                 {} leaves {:.3} mm beyond a margins.guard_m of {}: slower limits, a shorter cycle, or margins.filter_m >= {} hold it",
+                1e3 * cycle_s,
+                1e3 * measured_s,
+                1e3 * lag_m,
+                number_text(filter_m),
+                1e3 * between_m,
+                number_text(guard_least_m),
+                least_text(guard_least_m + lag_m)
             ));
         }
         lines
@@ -226,14 +247,15 @@ mod tests {
         let raised = "tip_speed_m_s = 0.45";
         let text = judged(raised, "filter_m = 0.0015");
         assert!(
-            text.contains("margins.filter_m = 0.0015 is outside at least 0.00255")
-                && text.contains("2.04 mm that a finger is behind"),
+            text.contains(
+                "margins.filter_m = 0.0015 is outside [0.00255, 0.02]: it must be at least"
+            ) && text.contains("2.045 mm that a finger is behind"),
             "{text}"
         );
         assert_eq!(judged(raised, "filter_m = 0.00255"), "loaded");
         let thin = judged("tip_speed_m_s = 0.08", "filter_m = 0.0009");
         assert!(
-            thin.contains("margins.filter_m = 0.0009 is outside at least"),
+            thin.contains("margins.filter_m = 0.0009 is outside [0.00107, 0.02]"),
             "{thin}"
         );
     }
@@ -244,9 +266,10 @@ mod tests {
         let guard = |to: &'static str| said(&RAISED, &[("guard_m = 0.0003", to)]);
         let text = guard("guard_m = 0.0003");
         assert!(
-            text.contains("margins.guard_m = 0.0003 is outside at least 0.00048")
-                && text.contains("0.07 mm that a finger goes in half a tick")
-                && text.contains("0.41 mm by which it falls further behind")
+            text.contains("margins.guard_m = 0.0003 is outside [0.00048, 0.02]: it must be at least")
+                && text.contains("0.071 mm that a finger goes in half a tick")
+                && text.contains("0.399 mm by which it falls further behind")
+                && text.contains("the wrist up to 0.174 m from the remote centre (workspace, limits.insertion.high_m)")
                 && text.contains("limits.yaw to limits.jaw"),
             "{text}"
         );
@@ -255,8 +278,41 @@ mod tests {
         // At the shipped limits a tenth of a millimetre is not enough, and what is shipped is.
         let shipped = said(&[], &[("guard_m = 0.0003", "guard_m = 0.0001")]);
         assert!(
-            shipped.contains("margins.guard_m = 0.0001 is outside at least 0.00029"),
+            shipped.contains("margins.guard_m = 0.0001 is outside [0.00027, 0.02]"),
             "{shipped}"
+        );
+    }
+
+    /// The insertion's range bounds how far away the wrist is, however large the workspace; one that can't be reached is said to be that.
+    #[test]
+    fn the_shipped_margins_hold_in_every_workspace_that_is_reached() {
+        let judged = |low: &str, high: &str, guard: &str| {
+            let low = format!("workspace_min_m = {low}");
+            let high = format!("workspace_max_m = {high}");
+            let changes = [
+                ("workspace_min_m = [-0.06, -0.05, -0.005]", low.as_str()),
+                ("workspace_max_m = [0.06, 0.05, 0.09]", high.as_str()),
+                ("guard_m = 0.0003", guard),
+            ];
+            said(&[], &changes)
+        };
+        let (low, high) = ("[-0.3, -0.3, -0.2]", "[0.3, 0.3, 0.12]");
+        assert_eq!(judged(low, high, "guard_m = 0.0003"), "loaded");
+        let thin = judged(low, high, "guard_m = 0.00028");
+        assert!(
+            thin.contains("margins.guard_m = 0.00028 is outside [0.00029, 0.02]")
+                && thin.contains("0.219 mm by which it falls further behind")
+                && thin.contains("the wrist up to 0.219 m from the remote centre"),
+            "{thin}"
+        );
+        let far = judged(
+            "[-0.06, -0.05, -0.3]",
+            "[0.06, 0.05, -0.25]",
+            "guard_m = 0.0001",
+        );
+        assert!(
+            far.contains("arm.0.workspace_max_m") && far.contains("can't reach"),
+            "{far}"
         );
     }
 
@@ -268,34 +324,33 @@ mod tests {
             assert_eq!(config.lag_beyond_margins(cycle_ns), Vec::<String>::new());
         }
         let slow = config.lag_beyond_margins(4_000_000);
-        let [filter, guard] = slow.as_slice() else {
+        let [guard, filter] = slow.as_slice() else {
             panic!("{slow:?}");
         };
         assert!(
-            filter.contains("SYNC every 4.0 ms are measured up to 13.0 ms behind")
-                && filter.contains("1.84 mm at full speed")
-                && filter.contains("margins.filter_m = 0.0015 leaves 1.20 mm")
-                && filter.ends_with("at least 0.00214 hold it"),
-            "{filter}"
-        );
-        assert!(
-            guard.contains("up to 0.32 mm during a stop")
-                && guard.contains("margins.guard_m = 0.0003 leaves 0.23 mm")
-                && guard.contains("overstep a boundary by 0.09 mm")
-                && guard.ends_with("at least 0.00039 hold it"),
+            guard.contains("up to 0.297 mm during a stop")
+                && guard.contains("margins.guard_m = 0.0003 leaves 0.229 mm")
+                && guard.contains("overstep a boundary by 0.067 mm")
+                && guard.ends_with("margins.guard_m >= 0.00037 hold it"),
             "{guard}"
         );
-        // What the lines ask for silences them: the filter's margin goes with the guard's.
-        let wide = loaded(
-            &[],
-            &[
-                ("guard_m = 0.0003", "guard_m = 0.00039"),
-                ("filter_m = 0.0015", "filter_m = 0.00223"),
-            ],
+        assert!(
+            filter.contains("SYNC every 4.0 ms are measured up to 13.0 ms behind")
+                && filter.contains("1.836 mm at full speed")
+                && filter.contains("margins.filter_m = 0.0015 leaves 1.130 mm")
+                && filter.contains("beyond a margins.guard_m of 0.00037")
+                && filter.ends_with("margins.filter_m >= 0.00221 hold it"),
+            "{filter}"
         );
-        assert_eq!(
-            wide.unwrap().lag_beyond_margins(4_000_000),
-            Vec::<String>::new()
-        );
+        // What the lines ask for silences them; the guard's alone does not, and neither does the filter's.
+        let with = |guard: &str, filter: &str| {
+            let changes = [("guard_m = 0.0003", guard), ("filter_m = 0.0015", filter)];
+            let changed = loaded(&[], &changes).unwrap();
+            changed.lag_beyond_margins(4_000_000)
+        };
+        let (guard, filter) = ("guard_m = 0.00037", "filter_m = 0.00221");
+        assert_eq!(with(guard, filter), Vec::<String>::new());
+        assert_eq!(with(guard, "filter_m = 0.0022").len(), 1);
+        assert_eq!(with("guard_m = 0.0003", filter).len(), 1);
     }
 }

@@ -19,12 +19,6 @@ use crate::rt::{self, MonotonicClock, Periodic};
 use crate::session::summary::CanSummary;
 use crate::session::{Robot, SessionError, can_interfaces};
 
-/// The buses of all arms, and what a person should know before drives are enabled.
-pub(in super::super) struct Opened {
-    buses: Vec<SocketBus<CanClock>>,
-    warnings: Vec<String>,
-}
-
 /// What the margins of `robot` do not hold of the lag of its arms at the cycle of `can`.
 fn lag_warnings(robot: &Robot, can: &CanOptions) -> Vec<String> {
     let arms = can.config.arms.iter().take(robot.arms());
@@ -34,7 +28,7 @@ fn lag_warnings(robot: &Robot, can: &CanOptions) -> Vec<String> {
 }
 
 impl ArmLink for CanOptions {
-    type Opened = Opened;
+    type Opened = Vec<SocketBus<CanClock>>;
     type Ready = Vec<ReadyArm>;
     type Rig = CanRig;
 
@@ -50,10 +44,11 @@ impl ArmLink for CanOptions {
         check(&robot.name, robot.arms(), &self.config)?;
         let arms = self.config.arms.iter().take(robot.arms());
         let buses = arms.map(|arm| can_interfaces::open(&arm.interfaces, clock));
-        Ok(Opened {
-            buses: buses.collect::<Result<_, _>>()?,
-            warnings: lag_warnings(robot, self),
-        })
+        buses.collect()
+    }
+
+    fn warnings(&self, robot: &Robot) -> Vec<String> {
+        lag_warnings(robot, self)
     }
 
     fn buses(&self, arms: usize) -> (Vec<String>, u32) {
@@ -71,10 +66,7 @@ impl ArmLink for CanOptions {
         _clock: MonotonicClock,
         say: PrintLine<'_>,
     ) -> Result<Self::Ready, SessionError> {
-        for warning in &opened.warnings {
-            say(&format!("trocar: warning: {warning}"));
-        }
-        bring_up(self, opened.buses, say)
+        bring_up(self, opened, say)
     }
 
     fn await_world(
@@ -135,31 +127,44 @@ mod tests {
     use hal::config::Source;
     use trocar_canopen::master::CanConfig;
 
-    use super::{CanOptions, lag_warnings};
+    use super::{ArmLink, CanOptions};
     use crate::session::{PolicyChoice, Setup};
 
-    /// Two arms on one bus have a cycle whose lag the margins don't hold; one arm at the shipped cycle has none to tell of.
+    /// Two arms on one bus have a cycle whose lag the margins don't hold, until they are what the warnings ask for; one arm at the shipped
+    /// cycle has none to tell of.
     #[test]
     fn a_cycle_whose_lag_margins_do_not_hold_is_named() {
-        let warnings = |task: &str, cycle: &str| {
-            let setup = Setup::load(task, None, &PolicyChoice::Expert).unwrap();
+        let warnings = |task: &str, cycle: &str, margins: Option<(f64, f64)>| {
+            let mut setup = Setup::load(task, None, &PolicyChoice::Expert).unwrap();
+            if let Some((guard_m, filter_m)) = margins {
+                let of_robot = &mut setup.robot.control.margins;
+                (of_robot.guard_m, of_robot.filter_m) = (guard_m, filter_m);
+            }
             let text = CanConfig::shipped()
                 .text()
                 .replace("cycle_us = 2000", cycle);
             let source = Source::embedded("can.toml", &text);
             let (can, _) = CanOptions::load(&source, "lab").unwrap();
-            lag_warnings(&setup.robot, &can)
+            can.warnings(&setup.robot)
         };
         let none = Vec::<String>::new();
-        assert_eq!(warnings("needle-lift", "cycle_us = 2000"), none);
-        let two = warnings("needle-handover", "cycle_us = 4000");
-        let [filter, guard] = two.as_slice() else {
+        assert_eq!(warnings("needle-lift", "cycle_us = 2000", None), none);
+        let two = warnings("needle-handover", "cycle_us = 4000", None);
+        let [guard, filter] = two.as_slice() else {
             panic!("{two:?}");
         };
         assert!(
-            filter.contains("13.0 ms behind their commands, 1.84 mm at full speed"),
+            guard.contains("up to 0.313 mm during a stop")
+                && guard.ends_with("margins.guard_m >= 0.00039 hold it"),
+            "{guard}"
+        );
+        assert!(
+            filter.contains("13.0 ms behind their commands, 1.836 mm at full speed")
+                && filter.ends_with("margins.filter_m >= 0.00223 hold it"),
             "{filter}"
         );
-        assert!(guard.contains("up to 0.33 mm during a stop"), "{guard}");
+        let followed = Some((0.00039, 0.00223));
+        let left = warnings("needle-handover", "cycle_us = 4000", followed);
+        assert_eq!(left, none);
     }
 }

@@ -86,6 +86,11 @@ pub(super) trait ArmLink: Sync {
     /// [`SessionError`].
     fn open(&self, robot: &Robot, clock: MonotonicClock) -> Result<Self::Opened, SessionError>;
 
+    /// What a person should know before the arms of `robot` are enabled, a line each.
+    fn warnings(&self, _robot: &Robot) -> Vec<String> {
+        Vec::new()
+    }
+
     /// The interfaces of the first `arms` arms, each once, and their bit rate, bit/s.
     fn buses(&self, _arms: usize) -> (Vec<String>, u32) {
         (Vec::new(), 0)
@@ -148,7 +153,7 @@ struct Begun<'a, L: ArmLink> {
     say: PrintLine<'a>,
 }
 
-/// Joins the topics of the arms' world, or of their cameras.
+/// Opens the way to the arms, says what a person should know of them, and joins the topics of their world, or of their cameras.
 fn begin<'a, L: ArmLink>(
     robot: &Robot,
     link: &'a L,
@@ -157,9 +162,13 @@ fn begin<'a, L: ArmLink>(
     check_faults(robot)?;
     rt::catch_interrupts_in_motion().map_err(SessionError::signals)?;
     let clock = MonotonicClock::new();
+    let opened = link.open(robot, clock)?;
+    for warning in link.warnings(robot) {
+        say(&format!("trocar: warning: {warning}"));
+    }
     Ok(Begun {
         link,
-        opened: link.open(robot, clock)?,
+        opened,
         clock,
         node: TopicNode::join(link.topics())?,
         say,
