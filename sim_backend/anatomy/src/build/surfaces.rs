@@ -14,7 +14,7 @@ use crate::surface::complex::Complex;
 use crate::surface::{Method, cubes, nets};
 use crate::volume::Padded;
 
-/// Times that vertices of crossing triangles are put back: each may lay bare others.
+/// Times that vertices of crossing triangles are put back after decimation: each may lay bare others.
 const BACK_MAX: usize = 4;
 
 /// The surfaces between groups, smooth, with the volumes of their voxels; `look` sees them before they are smooth.
@@ -43,8 +43,9 @@ pub(super) fn surfaces(
             };
             balance(&mut complex, targets, half_voxel, in_cell);
             // Sheets a voxel apart may still fold through each other. What is back at the corners of voxels does not: those are faces of voxels.
+            // So none crosses in the end: each round puts more of them back.
             let corners: Vec<_> = begin.iter().map(|voxel| grid.world(voxel)).collect();
-            put_back(&mut complex, &corners);
+            put_back(&mut complex, &corners, corners.len());
             complex
         }
         Method::MarchingCubes => {
@@ -60,15 +61,20 @@ pub(super) fn surfaces(
     }
 }
 
-/// Puts vertices of crossing triangles back to where they were, `before`, until none crosses; whether that is so.
-fn put_back(complex: &mut Complex, before: &[Point3<f64>]) -> bool {
-    for _ in 0..BACK_MAX {
+/// Puts vertices of crossing triangles back to where they were, `before`, until none crosses, in so many `rounds` at most; whether that is so.
+fn put_back(complex: &mut Complex, before: &[Point3<f64>], rounds: usize) -> bool {
+    for _ in 0..rounds {
         let crossing = crossing_vertices(complex);
         if crossing.is_empty() {
             return true;
         }
+        let mut has_moved = false;
         for v in crossing.into_iter().map(|v| v as usize) {
+            has_moved |= complex.positions[v] != before[v];
             complex.positions[v] = before[v];
+        }
+        if !has_moved {
+            return false;
         }
     }
     crossing_vertices(complex).is_empty()
@@ -79,7 +85,7 @@ fn put_back(complex: &mut Complex, before: &[Point3<f64>]) -> bool {
 pub(super) fn settle(complex: &mut Complex, targets: &[f64], most_mm: f64) {
     let before = complex.positions.clone();
     balance(complex, targets, most_mm, |_, to| to);
-    if put_back(complex, &before) {
+    if put_back(complex, &before, BACK_MAX) {
         return;
     }
     let settled = core::mem::replace(&mut complex.positions, before);

@@ -136,6 +136,11 @@ pub(crate) trait TaskScene: Any + CloneScene + Debug + Send + Sync {
         Err(Vec::new())
     }
 
+    /// Whether its needle, if there is a choice, has a place to lie on its ground.
+    fn lies(&self) -> bool {
+        true
+    }
+
     /// The patient whose organ is the ground, if it is one's.
     fn patient(&self) -> Option<&Patient> {
         None
@@ -177,7 +182,7 @@ impl Clone for Box<dyn TaskScene> {
     }
 }
 
-/// The requested needle can't be had.
+/// The requested needle is not available.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NeedleError {
     /// The task does not have it.
@@ -190,9 +195,9 @@ pub enum NeedleError {
         /// The needles that can be chosen.
         known: Vec<String>,
     },
-    /// It does not come to rest on the patient's organ.
+    /// It does not lie on the chosen patch of the patient's organ, or slides off.
     #[error(
-        "needle {name} slides off the patient's {organ}; {}",
+        "needle {name} does not lie on, or slides off, the chosen patch of the patient's {organ}; {}",
         resting_needles(resting)
     )]
     SlidesOff {
@@ -215,7 +220,7 @@ fn known_needles(known: &[String]) -> String {
 
 fn resting_needles(resting: &[String]) -> String {
     if resting.is_empty() {
-        "so do all others".to_owned()
+        "no other comes to rest there".to_owned()
     } else {
         format!("these come to rest there: {}", resting.join(", "))
     }
@@ -261,8 +266,8 @@ impl TaskConfig {
         self.scene.patient().map(|patient| &patient.lie)
     }
 
-    /// The same task with another needle, by the name that the scene file gives it. On a patient it must come to rest on the patch that was
-    /// chosen for the scene's own.
+    /// The same task with another needle, by the name that the scene file gives it. On a patient it must lie and come to rest on the patch
+    /// that was chosen for the scene's own.
     ///
     /// # Errors
     /// [`NeedleError`], also for a task that has no choice of needles.
@@ -285,7 +290,7 @@ impl TaskConfig {
         })
     }
 
-    /// The names of those needles of the scene that come to rest on its ground, if there is a choice.
+    /// The names of those needles of the scene that lie and come to rest on its ground, if there is a choice.
     fn resting_needles(&self) -> Vec<String> {
         let rests = |name: &String| {
             let mut scene = self.scene.clone();
@@ -296,10 +301,10 @@ impl TaskConfig {
         needles
     }
 
-    /// Whether what lies in `scene` comes to rest; made-up ground is so flat that it does.
+    /// Whether what starts in `scene` lies on its ground and comes to rest; made-up ground is so flat that it does.
     fn rests(&self, scene: &dyn TaskScene) -> bool {
         scene.patient().is_none()
-            || laying::rests(&self.world, &self.arms, |seed| scene.scenery(seed))
+            || (scene.lies() && laying::rests(&self.world, &self.arms, |seed| scene.scenery(seed)))
     }
 
     /// Reads the scene file of the task `name`, whose `task.kind` says what it describes.

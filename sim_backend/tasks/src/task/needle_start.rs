@@ -84,6 +84,16 @@ impl NeedleStart {
         }
     }
 
+    /// Whether `needle` can lie somewhere in the region; on made-up ground it can everywhere.
+    pub(super) fn has_place(&self, needle: &NeedleShape, organ: &Organ) -> bool {
+        if matches!(organ, Organ::Rolling(_)) {
+            return true;
+        }
+        let mut rng = Rng::stream(0, "needle");
+        let first = self.place(&mut rng, needle, organ);
+        self.sample(&mut rng, first, needle, organ).is_some()
+    }
+
     /// Checks that `needle` can lie somewhere in the region on a measured organ.
     pub(super) fn check_on(
         &self,
@@ -91,9 +101,7 @@ impl NeedleStart {
         needle: &NeedleShape,
         organ: &Organ,
     ) -> Result<(), ConfigError> {
-        let mut rng = Rng::stream(0, "needle");
-        let first = self.place(&mut rng, needle, organ);
-        if self.sample(&mut rng, first, needle, organ).is_some() {
+        if self.has_place(needle, organ) {
             return Ok(());
         }
         let [radius_mm, gap_mm] = [needle.arc_radius_m, GAP_M_MAX].map(|size_m| 1e3 * size_m);

@@ -174,6 +174,10 @@ impl TaskScene for NeedleLift {
         Ok(())
     }
 
+    fn lies(&self) -> bool {
+        self.start.has_place(&self.needle, &self.organ)
+    }
+
     fn visual_poses(&self, things: &[Pose], _goal: &Pose) -> Vec<Pose> {
         patient::poses(self.patient(), things[0])
     }

@@ -168,7 +168,7 @@ impl SceneFile {
             _ => format!("{count} patches were tried"),
         };
         format!(
-            "; {tried} on its {}, the first {flat_mm:.1} mm from flat (root mean square) within {radius_mm:.0} mm of {at}",
+            "; {tried} on the patient's {}, the first {flat_mm:.1} mm from flat (root mean square) within {radius_mm:.0} mm of {at}",
             self.organ
         )
     }

@@ -416,7 +416,10 @@ fn the_flattest_patch_that_fits_is_taken() {
     assert!(first.roughness_m <= second.roughness_m);
     let none = refuse(100).unwrap_err().to_string();
     assert!(asked.get() > 2);
-    let tried = format!("patch 1; {} patches were tried on its liver", asked.get());
+    let tried = format!(
+        "patch 1; {} patches were tried on the patient's liver",
+        asked.get()
+    );
     let flat_mm = 1e3 * first.roughness_m;
     let first = format!("the first {flat_mm:.1} mm from flat (root mean square) within 30 mm of (");
     assert!(none.contains(&tried) && none.contains(&first), "{none}");

@@ -135,10 +135,14 @@ fn a_needle_that_slides_off_everywhere_is_refused() {
         refused.contains("scene.organ = liver: its needle slides off; a smaller one may lie; "),
         "{refused}"
     );
-    assert!(refused.contains("tried on its liver"), "{refused}");
+    assert!(
+        refused.contains("tried on the patient's liver"),
+        "{refused}"
+    );
 }
 
-/// On a plateau of 36 mm the trained needle, 38 mm wide, does not lie, but N3 does if the scene names it.
+/// On a plateau of 36 mm the trained needle, 38 mm wide, does not lie, but N3 does if the scene names it. There the trained one is
+/// neither chosen nor drawn.
 #[test]
 fn a_smaller_needle_of_the_scene_lies_where_the_trained_one_does_not() {
     let small = Plateau {
@@ -155,12 +159,24 @@ fn a_smaller_needle_of_the_scene_lies_where_the_trained_one_does_not() {
         "needle_start.range_m",
         "a needle of 19.2 mm radius",
         "slope of 20 degrees",
-        "one patch was tried on its liver, the first 0.0 mm from flat (root mean square) within 16 mm of (",
+        "one patch was tried on the patient's liver, the first 0.0 mm from flat (root mean square) within 16 mm of (",
     ] {
         assert!(trained.contains(part), "{trained}");
     }
     let task = TaskConfig::parse("needle-lift", &of_scene("N3")).unwrap();
     assert_eq!(task.needle(), Some("N3"));
+    let trained = task.clone().with_needle("N1").unwrap_err().to_string();
+    assert!(
+        trained.starts_with("needle N1 does not lie on, or slides off, the chosen patch"),
+        "{trained}"
+    );
+    let task = task.with_variations(&[Variation::Needles]).unwrap();
+    let needles = (0..60).map(|seed| task.drawn(seed).needle.unwrap());
+    let drawn: BTreeSet<String> = needles.collect();
+    assert!(
+        drawn.contains("N3") && !drawn.contains("N1"),
+        "of a plateau for N3: {drawn:?}"
+    );
     let unknown = refused(&of_scene("N9"));
     assert!(
         unknown.contains("scene.needle = N9 is outside N1, N2, N3, N4, N5"),
@@ -191,7 +207,7 @@ fn a_needle_that_falls_off_the_patch_is_neither_chosen_nor_drawn() {
     let ring = task.clone().with_needle("N5").unwrap_err();
     assert_eq!(
         ring.to_string(),
-        "needle N5 slides off the patient's liver; these come to rest there: N1, N2, N3, N4"
+        "needle N5 does not lie on, or slides off, the chosen patch of the patient's liver; these come to rest there: N1, N2, N3, N4"
     );
     let expected = NeedleError::SlidesOff {
         name: "N5".to_owned(),
