@@ -23,7 +23,7 @@ pub fn open(path: &Path) -> io::Result<File> {
 pub fn read(path: &Path, what: &str, size_max: u64) -> io::Result<Vec<u8>> {
     let (file, size) = opened(path)?;
     let too_large = |size: &str| {
-        let reason = format!("it has {size}, {what} at most {size_max}");
+        let reason = format!("it has {size}; the limit for {what} is {size_max} bytes");
         io::Error::other(reason)
     };
     if size > size_max {
@@ -102,7 +102,8 @@ mod tests {
         fs::write(&path, "12345").unwrap();
         assert_eq!(read(&path, "a note", 5).unwrap(), b"12345");
         assert_eq!(read_text(&path, "a note", u64::MAX).unwrap(), "12345");
-        assert_eq!(refused(&path, 4), "it has 5 bytes, a note at most 4");
+        let told = "it has 5 bytes; the limit for a note is 4 bytes";
+        assert_eq!(refused(&path, 4), told);
         fs::write(&path, "").unwrap();
         assert_eq!(read(&path, "a note", 0).unwrap(), b"");
     }
@@ -111,7 +112,8 @@ mod tests {
     #[test]
     fn a_file_longer_than_it_says_is_refused() {
         let told = refused(Path::new("/proc/self/status"), 8);
-        assert_eq!(told, "it has more bytes than it says, a note at most 8");
+        let reason = "it has more bytes than it says; the limit for a note is 8 bytes";
+        assert_eq!(told, reason);
     }
 
     #[test]

@@ -470,7 +470,8 @@ fn inputs_are_not_overwritten_through_links() {
     let large = folder.join("large.toml");
     fs::write(&large, " ".repeat(1 << 21)).unwrap();
     let told = refused(&[&SHORT[..], &["--config", large.to_str().unwrap()]].concat());
-    assert!(told.contains("a configuration at most 1048576"), "{told}");
+    let limit = "the limit for a configuration is 1048576 bytes";
+    assert!(told.contains(limit), "{told}");
 }
 
 /// Waits until the log at `path` of the run `child` says that.

@@ -131,7 +131,7 @@ fn verbs_pause_resume_slow_down_and_stop_a_run() {
     assert_eq!(code, 1, "{answer}");
     let (code, answer, _) = run.command(&["mark", "success", "--label", "third try"]);
     assert_eq!(code, 1, "{answer}");
-    let judged = "error: this run is marked by nobody: it has a task that judges it";
+    let judged = "error: this run takes no mark: it has a task that judges it";
     assert!(answer.starts_with(judged), "{answer}");
 
     let socket = run.socket();

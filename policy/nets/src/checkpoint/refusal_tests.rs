@@ -56,7 +56,7 @@ fn a_text_beyond_the_limit_is_refused_with_both_sizes() {
         let text = fs::read(&path).unwrap();
         let opened = fs::File::options().write(true).open(&path).unwrap();
         opened.set_len((16 << 20) + 1).unwrap();
-        let reason = "it has 16777217 bytes, a checkpoint's JSON at most 16777216";
+        let reason = "it has 16777217 bytes; the limit for a checkpoint's JSON is 16777216 bytes";
         expect(&folder, file, reason);
         fs::write(&path, text).unwrap();
     }

@@ -69,8 +69,9 @@ impl FilesCheck {
 
     /// Refuses the files by name if they are not the same any more.
     pub(super) fn found(self) -> Result<(), SessionError> {
-        let died = || SessionError::RealTime("the check of the policy's files has died".to_owned());
-        self.0.join().unwrap_or_else(|_| Err(died()))
+        let panicked =
+            || SessionError::RealTime("the check of the policy's files panicked".to_owned());
+        self.0.join().unwrap_or_else(|_| Err(panicked()))
     }
 }
 

@@ -32,7 +32,7 @@ const LOAD_NS_MAX: u64 = 120_000_000_000;
 const SILENCE_NS_MAX: u64 = 5_000_000_000;
 
 /// A process that lives and answers no observation for this long, and a query's interval, answers none any more, ns.
-const ANSWER_NS_MAX: u64 = 10_000_000_000;
+pub(super) const ANSWER_NS_MAX: u64 = 10_000_000_000;
 
 /// The code with which this program ends for bad input.
 const BAD_INPUT: i32 = 2;
@@ -396,10 +396,21 @@ impl Remote for PolicyChild {
     /// Our own process is started again, with the same checkpoint or not at all; an external one is told to begin again, and may be another process by then.
     fn call_again(&mut self) -> Result<(), SessionError> {
         match &mut self.peer {
-            Peer::Own(own) => own.check = Some(own.files.begin_check()?),
+            Peer::Own(own) => {
+                // One that hangs takes no core from the comparison, which goes on if it is under way.
+                own.process.kill();
+                if own.check.is_none() {
+                    own.check = Some(own.files.begin_check()?);
+                }
+            }
             Peer::External(_) => self.begin_anew()?,
         }
         Ok(())
+    }
+
+    /// Whether the files of our own are compared.
+    fn is_preparing(&self) -> bool {
+        matches!(&self.peer, Peer::Own(own) if own.check.is_some())
     }
 
     /// Whether it has begun as it was told, and answers from now on.
@@ -465,19 +476,22 @@ impl Remote for PolicyChild {
         }
         let unanswered_ns = self.answered.map_or(0, |answered| now.since(answered));
         let limit_ns = self.peer.answer_ns_max() + self.query_every_steps * STEP_NS;
-        (unanswered_ns > limit_ns).then(|| {
-            let unanswered_s = seconds(unanswered_ns);
-            match &self.peer {
-                Peer::Own(_) => format!(
-                    "the policy has answered nothing for {unanswered_s} s: it sees no arms and frames of one instant"
-                ),
-                Peer::External(_) => {
-                    let who = self.peer.who();
-                    format!("{who} lives and has answered nothing for {unanswered_s} s")
-                }
+        (unanswered_ns > limit_ns).then(|| match &self.peer {
+            Peer::Own(_) => answers_nothing(unanswered_ns),
+            Peer::External(_) => {
+                let (who, unanswered_s) = (self.peer.who(), seconds(unanswered_ns));
+                format!("{who} lives and has answered nothing for {unanswered_s} s")
             }
         })
     }
+}
+
+/// Why a run ends whose own policy has answered nothing for so long, ns.
+pub(super) fn answers_nothing(unanswered_ns: u64) -> String {
+    let unanswered_s = unanswered_ns / 1_000_000_000;
+    format!(
+        "the policy has answered nothing for {unanswered_s} s: it sees no arms and frames of one instant"
+    )
 }
 
 /// The hidden verb that runs the checkpoint in `policy`.

@@ -86,12 +86,17 @@ impl<S: Message> ChildProcess<S> {
         self.process.try_wait().ok().flatten()?.code()
     }
 
-    /// Ends the process, if it still is, with all that it had in shared memory, and starts another one.
-    pub(super) fn start_again(&mut self) -> Result<(), SessionError> {
+    /// Ends the process, if it still is, with all that it had in shared memory.
+    pub(super) fn kill(&mut self) {
         self.listens = false;
         let _gone = self.process.kill();
         let _reaped = self.process.wait();
         self.node.remove_dead();
+    }
+
+    /// Ends the process as [`Self::kill`] does, and starts another one.
+    pub(super) fn start_again(&mut self) -> Result<(), SessionError> {
+        self.kill();
         // Nothing of the dead one is taken for the next one's.
         let _stale = self.status.newest()?;
         self.process = self.spawned.start()?;

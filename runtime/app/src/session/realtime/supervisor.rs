@@ -28,6 +28,11 @@ pub(super) trait Remote {
     /// Begins anew with one that has died or hangs. Nothing that was said before counts.
     fn call_again(&mut self) -> Result<(), SessionError>;
 
+    /// Whether it was called again and is not started yet, since what it is started with is looked at first.
+    fn is_preparing(&self) -> bool {
+        false
+    }
+
     /// Whether it is ready.
     fn is_ready(&mut self) -> Result<bool, SessionError>;
 
@@ -83,7 +88,7 @@ enum ProcessState {
     Running,
     /// It is started again at this time.
     Backoff(TimeNs),
-    /// It was started again, and has until this time to be ready.
+    /// It was called again, and has until this time to be started; then it has as long to be ready.
     Starting(TimeNs),
 }
 
@@ -161,7 +166,12 @@ impl Supervisor {
         until: TimeNs,
         signals: &Signals,
     ) -> Result<Option<String>, SessionError> {
+        let was_preparing = remote.is_preparing();
         match remote.is_back(now) {
+            Ok(false) if was_preparing && !remote.is_preparing() => {
+                self.presence = ProcessState::Starting(now.plus_ns(self.rules.return_ns));
+                return Ok(None);
+            }
             Ok(false) => {}
             Ok(true) => {
                 self.presence = ProcessState::Running;
@@ -325,6 +335,66 @@ mod tests {
         let mut look = || supervisor.look_after(&mut fake, &signals).unwrap();
         assert_eq!(look(), None);
         assert!(look().is_some_and(|reason| reason.contains("it is another")));
+    }
+
+    /// A process whose files are compared before it is started, and that is ready at the next look.
+    struct Checked {
+        gone: bool,
+        looks: u32,
+    }
+
+    impl Remote for Checked {
+        fn who(&self) -> String {
+            "the process".to_owned()
+        }
+
+        fn is_own(&self) -> bool {
+            true
+        }
+
+        fn call_again(&mut self) -> Result<(), SessionError> {
+            self.gone = false;
+            Ok(())
+        }
+
+        fn is_preparing(&self) -> bool {
+            self.looks == 0
+        }
+
+        fn is_ready(&mut self) -> Result<bool, SessionError> {
+            Ok(self.looks > 0)
+        }
+
+        fn is_back(&mut self, _now: TimeNs) -> Result<bool, SessionError> {
+            let ready = self.is_ready();
+            self.looks += 1;
+            ready
+        }
+
+        fn ended(&mut self) -> Result<Option<String>, SessionError> {
+            Ok(None)
+        }
+
+        fn lost(&mut self) -> Option<String> {
+            self.gone.then(|| "the process ended".to_owned())
+        }
+    }
+
+    /// What was looked at before the process was started takes nothing of its time to be ready.
+    #[test]
+    fn the_time_to_be_ready_begins_with_the_process() {
+        let (signals, mut supervisor) =
+            (Signals::default(), supervised(Some(HoldCause::Answers), 1));
+        supervisor.rules.return_ns = 0;
+        let mut checked = Checked {
+            gone: true,
+            looks: 0,
+        };
+        for _ in 0..4 {
+            assert_eq!(supervisor.look_after(&mut checked, &signals).unwrap(), None);
+        }
+        assert!(supervisor.is_here());
+        assert_eq!((supervisor.restarts(), checked.looks), (1, 2));
     }
 
     /// What no arm needs holds none.

@@ -86,7 +86,9 @@ pub(crate) enum HandsMessageError {
     #[error("this run records no demonstration")]
     NoRecording,
     /// Nobody is asked how the run went.
-    #[error("this run is marked by nobody: it has a task that judges it, or no log")]
+    #[error(
+        "this run takes no mark: it has a task that judges it, or no log, or it has not begun or has ended"
+    )]
     NoMark,
     /// The text is no label.
     #[error(

@@ -178,13 +178,13 @@ pub(super) fn still_there(
     Ok(())
 }
 
-/// Waits for a frame of now of each of the cameras `wanted`, which must have the size that is asked for, if any is, on `topics`, where for example
-/// `publisher` would show it. Any `clock` will do. `meanwhile` is done again and again.
+/// Waits for a frame of now of each of the cameras `wanted`, which must have the size that is asked for, if any is, on `topics`; the `remedy` for
+/// one that shows none names it NAME. Any `clock` will do. `meanwhile` is done again and again.
 pub(in super::super) fn cameras(
     node: &TopicNode,
     wanted: &[SizedCamera],
     clock: MonotonicClock,
-    (topics, publisher): (&str, &str),
+    (topics, remedy): (&str, &str),
     (say, meanwhile): (PrintLine<'_>, &mut dyn FnMut() -> Result<(), SessionError>),
 ) -> Result<Vec<Camera>, SessionError> {
     let mut found = Vec::new();
@@ -192,9 +192,9 @@ pub(in super::super) fn cameras(
         let mut topic = CameraTopic::subscriber(node, name)?;
         let what = format!("a frame of camera {name} on topics {topics:?}");
         let lacking = format!(
-            "camera {name} has published no frame on topics {topics:?} for {} s: start whoever publishes it ({}), or name its topics with --topics",
+            "camera {name} has published no frame on topics {topics:?} for {} s: {}",
             CAMERA_NS_MAX / 1_000_000_000,
-            publisher.replace("NAME", name)
+            remedy.replace("NAME", name)
         );
         let mut stale = None;
         let lens = await_it(&what, &lacking, CAMERA_NS_MAX, say, || {

@@ -189,7 +189,7 @@ pub fn run_on_can(
     run_task(plan, can, say)
 }
 
-/// The same with arms that another process leads, over topics.
+/// The same with arms that another process commands, over topics.
 ///
 /// # Errors
 /// From the configuration, the topics of arms and world, the policy or the log.
@@ -279,7 +279,7 @@ pub fn run_robot_on_can(
     run_robot(plan, asked, can, say)
 }
 
-/// The same of a robot that another process leads, over topics.
+/// The same of a robot that another process commands, over topics.
 ///
 /// # Errors
 /// From the configuration, the topics, the policy or the log.
@@ -375,8 +375,11 @@ impl<L: ArmLink> Begun<'_, L> {
         // An operator looks through all of them.
         let by_hand = plan.console.is_some() && !plan.setup.rcms_from_view().is_empty();
         let looked_at = if by_hand { wanted.len() } else { policys };
-        let publisher = format!("`{} --cameras NAME` of a simulated world", link.host());
-        let topics = (link.topics(), publisher.as_str());
+        let remedy = format!(
+            "start whoever publishes it (`{} --cameras NAME` of a simulated world), or name its topics with --topics",
+            link.host()
+        );
+        let topics = (link.topics(), remedy.as_str());
         let mut cameras = awaited::cameras(&node, &wanted, clock, topics, (say, &mut || Ok(())))?;
         let (mut child, source) = policy.start(plan, outside, say)?;
         let robot = plan.setup.robot();

@@ -47,9 +47,10 @@ impl RigCameras {
                 wanted.push((name.clone(), None));
             }
         }
-        let publisher = "`CameraTopic::publisher` for NAME";
+        let remedy =
+            "start whoever publishes it (`CameraTopic::publisher` for NAME), or wait on its topics";
         let clock = MonotonicClock::new();
-        let at = (topics, publisher);
+        let at = (topics, remedy);
         let cameras = cameras(&node, &wanted, clock, at, (say, &mut || Ok(())))?;
         Ok(Self {
             node: Some(node),
@@ -77,7 +78,8 @@ pub fn run_rig<R: Rig + Send>(
 
 /// The same with `cameras`, whose frames the log keeps. The policy may look through some of them: it then sees the arms as they were when its first
 /// camera took a frame, with frames of the others of within 40 ms. A camera of the policy's that shows no new frame for 2 s ends the run, or the arms
-/// hold until it does (`policy.restarts` of `control.toml`). While the policy computes, frames are not logged.
+/// hold until it does (`policy.restarts` of `control.toml`). Frames that are further apart for 10 s and a query's
+/// interval end it too. While the policy computes, frames are not logged.
 ///
 /// A committed policy, or any checkpoint, is [`ChunkSource::network`] of [`Robot::network`]. It is computed in this process, on cores that the
 /// control thread should not have to share.

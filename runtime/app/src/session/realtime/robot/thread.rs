@@ -10,10 +10,11 @@ use trocar_topics::{ArmReport, Events, Publisher};
 
 use super::super::by_hand::ByHand;
 use super::super::channels::{Local, ObserverChannels};
+use super::super::child::{ANSWER_NS_MAX, answers_nothing};
 use super::super::observed::StepKind;
 use super::super::remote_arms::{AHEAD_NS_MAX, Camera, FRAME_NS_MAX, logged, seen_at};
 use super::super::shown::CameraPages;
-use super::super::signals::{EndRunOnDrop, Signals};
+use super::super::signals::{EndRunOnDrop, HoldCause, Signals};
 use super::queries::Queries;
 use super::sight::{CameraMonitor, Rules};
 use super::{ArmsScene, RobotOptions};
@@ -47,6 +48,8 @@ pub(in super::super) struct RobotThread {
     /// After how long it ends, ns.
     limit_ns: Option<u64>,
     past: Past,
+    /// When a policy of this process was last shown an instant, or first could have been.
+    policy_shown: Option<TimeNs>,
     events: Option<Events>,
     /// Pages that are shown frames.
     pages: Option<CameraPages>,
@@ -58,7 +61,7 @@ pub(in super::super) struct RobotThread {
 
 /// What it leaves behind.
 pub(in super::super) struct RobotEnd {
-    /// Why the run was ended from here, if it was: the time was up, or a camera was gone.
+    /// Why the run was ended from here, if it was: the time was up, a camera was gone, or the policy was shown nothing.
     pub(in super::super) ended_by: Option<String>,
     /// Whether that was what was asked.
     pub(in super::super) as_asked: bool,
@@ -116,6 +119,7 @@ impl RobotThread {
             sight: CameraMonitor::new(names, supervised),
             limit_ns,
             past: Past::default(),
+            policy_shown: None,
             events: None,
             pages: None,
             marked_by: None,
@@ -202,7 +206,7 @@ impl RobotThread {
         Ok(end)
     }
 
-    /// Ends the run, which has `begun`, if its time is up or a camera that the policy needs is gone.
+    /// Ends the run, which has `begun`, if its time is up, a camera that the policy needs is gone, or the policy is shown nothing.
     fn end_in_time(
         &mut self,
         (begun, now): (TimeNs, TimeNs),
@@ -213,6 +217,7 @@ impl RobotThread {
             .limit_ns
             .is_some_and(|limit_ns| now.since(begun) >= limit_ns);
         let blind = self.sight.judge(now, signals);
+        let blind = blind.or_else(|| self.shown_nothing(now, signals));
         let due = up || blind.is_some();
         if !due || signals.done() {
             return;
@@ -226,6 +231,19 @@ impl RobotThread {
             }
         });
         signals.end_run();
+    }
+
+    /// Why the run ends if a policy of this process has for too long been shown nothing at `now`; while the arms hold for frames it is not to be.
+    fn shown_nothing(&mut self, now: TimeNs, signals: &Signals) -> Option<String> {
+        let (source, _) = self.local.as_ref()?;
+        let interval_ns = source.query_every_steps().saturating_mul(STEP_NS);
+        let limit_ns = ANSWER_NS_MAX.saturating_add(interval_ns);
+        if signals.lacks(HoldCause::Frames) {
+            self.policy_shown = Some(now);
+        }
+        let shown = *self.policy_shown.get_or_insert(now);
+        let unshown_ns = now.since(shown);
+        (unshown_ns > limit_ns).then(|| answers_nothing(unshown_ns))
     }
 
     /// Whether the policy goes by no camera's frames; those of an operator beside it are none of its.
@@ -344,6 +362,8 @@ impl RobotThread {
                 let _gone = chunks.push(answer);
             }
         }
+        // Its inference may have taken long.
+        self.policy_shown = Some(clock.now());
         Ok(())
     }
 }

@@ -38,6 +38,44 @@ fn the_arms_are_seen_where_they_were_when_the_frame_was_taken() {
     }
 }
 
+/// A policy of this process that is shown nothing ends the run, but not while the arms hold for frames.
+#[test]
+fn a_policy_that_is_shown_nothing_ends_the_run() {
+    let channels = ThreadChannels::new((None, None), MonotonicClock::new());
+    let signals = Arc::clone(&channels.seen.signals);
+    let asked = RobotOptions {
+        cameras: Vec::new(),
+        seconds: None,
+    };
+    let rules = Supervision {
+        restarts: 0,
+        backoff_ns: 0,
+        return_ns: 0,
+        frozen_ns: None,
+    };
+    let source = ChunkSource::noop();
+    let limit_ns = ANSWER_NS_MAX + source.query_every_steps() * STEP_NS;
+    let mut robot = RobotThread::new(
+        channels.seen,
+        Some((source, channels.chunk_in)),
+        Vec::new(),
+        (Vec::new(), 0),
+        (&asked, (rules, |_| ())),
+    );
+    let mut at = |ns: u64| robot.shown_nothing(TimeNs(ns), &signals);
+    assert_eq!(at(MS_NS), None);
+    assert_eq!(at(MS_NS + limit_ns), None);
+    let told = at(MS_NS + limit_ns + 1).unwrap();
+    let unshown =
+        "the policy has answered nothing for 10 s: it sees no arms and frames of one instant";
+    assert_eq!(told, unshown);
+    signals.hold(HoldCause::Frames);
+    assert_eq!(at(2 * limit_ns), None);
+    signals.go_on(HoldCause::Frames);
+    assert_eq!(at(3 * limit_ns), None);
+    assert!(at(3 * limit_ns + 1).is_some());
+}
+
 /// What a camera does once it has shown some frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Camera {
