@@ -218,7 +218,7 @@ fn too_large_and_too_many_messages_end_a_page() {
     while !matches!(large.hear(), PageEvent::Closed(_)) {}
     let mut many = Page::open(&served);
     let mut sent = 0;
-    while many.socket.send(Message::text("{}")).is_ok() && sent < 5000 {
+    while many.socket.send(Message::text("{}")).is_ok() && sent < 10_000 {
         sent += 1;
     }
     let mut code = None;

@@ -3,7 +3,7 @@
 use hal::TimeNs;
 use serde::Deserialize;
 
-/// Cameras that streams are counted of.
+/// Most cameras with streams.
 const CAMERAS_MAX: u8 = 21;
 
 /// What of a frame is shown.

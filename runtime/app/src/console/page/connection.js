@@ -4,7 +4,7 @@ import { SCENE } from "./scene_file.js";
 
 const RETRY_MS = [250, 500, 1000, 2000, 3000];
 
-// Of a page the run takes 200 messages a second, and has 8 on their way to it: 125 of hands leave room for so many acknowledgements.
+// Of a page the run takes 400 messages a second, and has 8 on their way to it: 125 of hands leave room for so many acknowledgements.
 const ACKNOWLEDGE_MS = 25;
 const UNACKNOWLEDGED_MAX = 6;
 

@@ -2,11 +2,13 @@
 
 import { Presses, rounded } from "./hands.js";
 
-/** At most one message of hands in this time, ms: the run refuses a page that tells more than 200 a second, and displays have up to 144 frames. */
+/** At most one message of hands in this time, ms: the run refuses a page that sends more than 400 messages a second, and displays have up to 144 frames. */
 const TELL_MS = 11;
 
 /** Which of the page's keys the buttons of controllers are, by xr-standard: A starts, and then keeps; B discards; X does it again; Y hands back. */
 const BUTTON_KEYS = { right: [[4, "gy"], [5, "x"]], left: [[4, "z"], [5, "b"]] };
+/** A button that is pressed again sooner, ms, is a double press and counts once: A would start an episode and keep it. */
+const AGAIN_MS = 1000;
 /** How far a thumbstick is pushed before it turns the scene. */
 const STICK_DEAD = 0.2;
 /** The squeeze. */
@@ -29,6 +31,7 @@ export class Headset {
   #presses = new Presses();
   #told = -Infinity;
   #before = null;
+  #last = { keys: null, at: -Infinity };
 
   /**
    * `tell(arms)` gets the hands of each frame, `arms()` says how many there are; `eyes.images()` are what the left and the right eye see,
@@ -81,6 +84,7 @@ export class Headset {
     this.#session = null;
     this.#before = null;
     this.#told = -Infinity;
+    this.#last = { keys: null, at: -Infinity };
     this.#presses.clear();
     this.#screen = null;
     this.#eyes.want(false);
@@ -120,7 +124,11 @@ export class Headset {
     const held = ({ handedness, gamepad }) => BUTTON_KEYS[handedness].filter(([index]) => gamepad.buttons[index]?.pressed).map(([, keys]) => keys);
     const presses = this.#presses.take(controllers.map((source) => [source.handedness, held(source)]));
     if (controllers.some(({ gamepad }) => gamepad.buttons[CLUTCH]?.pressed)) return;
-    for (const keys of presses) this.#more.press(keys);
+    for (const keys of presses) {
+      const again = keys === this.#last.keys && now < this.#last.at + AGAIN_MS;
+      this.#last = { keys, at: now };
+      if (!again) this.#more.press(keys);
+    }
     for (const { gamepad } of controllers) {
       const [x, y] = [2, 3].map((axis) => gamepad.axes?.[axis] ?? 0);
       if (Math.hypot(x, y) > STICK_DEAD) this.#more.turn(x, y, seconds);

@@ -50,7 +50,9 @@ export class Teleop {
       words: () => [...this.#lines(), ...said()],
       scene: (canvas) => scene.inHeadset(canvas),
       turn: (...push) => scene.turnInHeadset(...push),
-      press: (keys) => this.#press(keys),
+      press: (keys) => {
+        if (!this.#status?.desk) this.#press(keys);
+      },
     };
     this.headset = new Headset((arms) => this.#tell(arms), () => this.#status?.arms.length ?? 1, eyes, more);
     this.#listen();
