@@ -15,7 +15,7 @@ pub(super) const SPARE_BYTES: u64 = 2 << 20;
 /// Of a file no more than this part is spare: what is written at once comes seldom.
 const SPARE_PART: u64 = 3;
 
-/// Of a file this part is for the index of its chunks, which ends it: one of 250 ticks takes 0.4 % of what it stands for.
+/// Of a file this part is for the index of its chunks, which ends it.
 const INDEX_PART: u64 = 256;
 
 /// What a log with a bound has besides.
