@@ -19,14 +19,6 @@ use crate::rt::{self, MonotonicClock, Periodic};
 use crate::session::summary::CanSummary;
 use crate::session::{Robot, SessionError, can_interfaces};
 
-/// What the margins of `robot` do not hold of the lag of its arms at the cycle of `can`.
-fn lag_warnings(robot: &Robot, can: &CanOptions) -> Vec<String> {
-    let arms = can.config.arms.iter().take(robot.arms());
-    let cycle_ns = arms.map(|arm| arm.plan.cycle_ns).max();
-    let lines = cycle_ns.map(|cycle_ns| robot.control.lag_beyond_margins(cycle_ns));
-    lines.unwrap_or_default()
-}
-
 impl ArmLink for CanOptions {
     type Opened = Vec<SocketBus<CanClock>>;
     type Ready = Vec<ReadyArm>;
@@ -47,8 +39,12 @@ impl ArmLink for CanOptions {
         buses.collect()
     }
 
+    /// What the margins do not hold of the arms' lag at the cycle of their buses.
     fn warnings(&self, robot: &Robot) -> Vec<String> {
-        lag_warnings(robot, self)
+        let arms = self.config.arms.iter().take(robot.arms());
+        let cycle_ns = arms.map(|arm| arm.plan.cycle_ns).max();
+        let lines = cycle_ns.map(|cycle_ns| robot.control.lag_beyond_margins(cycle_ns));
+        lines.unwrap_or_default()
     }
 
     fn buses(&self, arms: usize) -> (Vec<String>, u32) {
