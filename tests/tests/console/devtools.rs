@@ -181,10 +181,11 @@ impl Browser {
         }
     }
 
-    /// Whether `expression` is true before `patience` is over.
+    /// Whether `expression` is true before `patience` is over. It is not read before the page has its elements.
     pub(crate) fn comes_true(&mut self, expression: &str, patience: Duration) -> bool {
         let rounds = patience.as_millis() / 50;
-        let parameters = json!({ "expression": expression, "returnByValue": true });
+        let loaded = format!("document.readyState !== 'loading' && ({expression})");
+        let parameters = json!({ "expression": loaded, "returnByValue": true });
         for _ in 0..rounds {
             match self.try_call("Runtime.evaluate", &parameters) {
                 Ok(result) if Self::value(expression, &result) == true => return true,
