@@ -1,5 +1,6 @@
-//! Writes the folder of libtorch into every binary of the package, so that it starts with no environment. `trocar` and `tests`
-//! use this file too, since a link argument reaches only the package that gives it.
+//! Writes the folder of libtorch into every binary of the package, so that it starts with no
+//! environment. `trocar` and `tests` use this file too, since a link argument reaches only the
+//! package that gives it.
 
 use std::path::Path;
 use std::{env, fs};

@@ -6,7 +6,8 @@ use crate::joints::INSERTION;
 use crate::psm::{JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN};
 use crate::{JointVector, SafeTail, TimeNs};
 
-/// Names of the arms of a run in topics, logs and datasets, in their order; the first is the one that every run has.
+/// Names of the arms of a run in topics, logs and datasets, in their order; the first is the one
+/// that every run has.
 pub const ARM_NAMES: [&str; 2] = ["psm1", "psm2"];
 
 /// The names of the first `count` arms: those of a run with so many.
@@ -14,7 +15,8 @@ pub fn arm_names(count: usize) -> impl Iterator<Item = &'static str> {
     ARM_NAMES.into_iter().take(count)
 }
 
-/// How far beyond an axis's mechanical range a measurement is believed, rad, and m for the insertion.
+/// How far beyond an axis's mechanical range a measurement is believed, rad, and m for the
+/// insertion.
 const BELIEVED_RAD: f64 = 0.2;
 const BELIEVED_M: f64 = 0.02;
 
@@ -62,8 +64,9 @@ impl ArmState {
             && self.jaw_effort.is_finite()
     }
 
-    /// The first axis, 6 for the jaw, that is measured where no instrument can be, and where: far beyond its mechanical
-    /// range. Such an outlier must not become the place where an arm is enabled.
+    /// The first axis, 6 for the jaw, that is measured where no instrument can be, and where: far
+    /// beyond its mechanical range. Such an outlier must not become the place where an arm is
+    /// enabled.
     #[must_use]
     pub fn impossible(&self) -> Option<(u8, f64)> {
         let joints = POSITION_MIN.iter().zip(&POSITION_MAX).zip(&self.position);
@@ -115,31 +118,38 @@ impl ArmCommand {
 
 /// An arm: simulated, on a bus, or replayed.
 ///
-/// A backend is read once and written once a control period, in that order. Before the first write it holds the
-/// position at which it was found. When no further command comes it finishes alone the stop that came with the last one.
+/// A backend is read once and written once a control period, in that order. Before the first write
+/// it holds the position at which it was found. When no further command comes it finishes alone the
+/// stop that came with the last one.
 ///
 /// `tests/tests/conformance.rs` holds every backend to what is said here.
 pub trait Arm {
     /// The newest measurement at `now`.
     ///
-    /// Its stamp is when it was measured: never later than `now`, and never earlier than that of the measurement before. As
-    /// long as nothing newer has come the same measurement is given again; reading more often changes nothing.
+    /// Its stamp is when it was measured: never later than `now`, and never earlier than that of
+    /// the measurement before. As long as nothing newer has come the same measurement is given
+    /// again; reading more often changes nothing.
     ///
     /// # Errors
-    /// [`ArmError`] when the measurement is lost or the drives have failed; the controller then faults. A measurement that
-    /// was lost may be followed by others. Drives that have failed stay so until the operator has brought them up again.
+    /// [`ArmError`] when the measurement is lost or the drives have failed; the controller then
+    /// faults. A measurement that was lost may be followed by others. Drives that have failed stay
+    /// so until the operator has brought them up again.
     fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError>;
 
     /// Hands over one setpoint, with the checked stop that follows if no other does.
     ///
-    /// A backend that gets no further command must play `tail` to rest, from the control period after `command` on, and
-    /// then hold: for good, since only another command may move it again. If `tail` is disabled the drives let go when it
-    /// begins, and it never enables them. [`TailPlayer`](crate::tail::TailPlayer) does this for a backend that commands every period itself; one
-    /// whose drives are out of reach when its own process dies sends them [`SafeTail::points`] ahead.
+    /// A backend that gets no further command must play `tail` to rest, from the control period
+    /// after `command` on, and then hold: for good, since only another command may move it again.
+    /// If `tail` is disabled the drives let go when it begins, and it never enables them.
+    /// [`TailPlayer`](crate::tail::TailPlayer) does this for a backend that commands every period
+    /// itself; one whose drives are out of reach when its own process dies sends them
+    /// [`SafeTail::points`] ahead.
     ///
-    /// A command after periods of silence must follow from where `tail` had led by then: a backend bridges no jump.
+    /// A command after periods of silence must follow from where `tail` had led by then: a backend
+    /// bridges no jump.
     ///
-    /// If any number of `command` or `tail` is not finite both are refused: it is a period without a command.
+    /// If any number of `command` or `tail` is not finite both are refused: it is a period without
+    /// a command.
     ///
     /// # Errors
     /// [`ArmError`] when it could not be sent, as after a failure of the drives.

@@ -9,8 +9,8 @@ mod distortion;
 
 pub use distortion::Distortion;
 
-/// Intrinsics in pixels; pixel centres lie at half-integers, x to the right, y down. All planes of a frame share them: a
-/// distorted camera's depth and instance ids belong to its distorted picture.
+/// Intrinsics in pixels; pixel centres lie at half-integers, x to the right, y down. All planes of
+/// a frame share them: a distorted camera's depth and instance ids belong to its distorted picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
 #[type_name("trocar/intrinsics/2")]
@@ -56,22 +56,24 @@ impl Intrinsics {
         }
     }
 
-    /// Where the ray through `x`, `y`, 1 in the camera frame falls in the picture, pixels. Behind a lens that folds rays over
-    /// each other, see [`Distortion::keeps_order`], several fall there.
+    /// Where the ray through `x`, `y`, 1 in the camera frame falls in the picture, pixels. Behind a
+    /// lens that folds rays over each other, see [`Distortion::keeps_order`], several fall there.
     #[must_use]
     pub fn pixel(&self, ray: [f64; 2]) -> [f64; 2] {
         let [x, y] = self.distortion.distort(ray);
         [self.fx * x + self.cx, self.fy * y + self.cy]
     }
 
-    /// The ray that falls on `pixel`: its x and y in the camera frame where z is 1. None if no ray does.
+    /// The ray that falls on `pixel`: its x and y in the camera frame where z is 1. None if no ray
+    /// does.
     #[must_use]
     pub fn ray(&self, [u, v]: [f64; 2]) -> Option<[f64; 2]> {
         let seen = [(u - self.cx) / self.fx, (v - self.cy) / self.fy];
         self.distortion.undistort(seen)
     }
 
-    /// Least and greatest x, and least and greatest y, of the rays that fall on the centres of the picture's pixels, where z is
+    /// Least and greatest x, and least and greatest y, of the rays that fall on the centres of the
+    /// picture's pixels, where z is
     /// 1. None if the lens folds some of them over each other, or no ray falls on some.
     #[must_use]
     pub fn field(&self) -> Option<[[f64; 2]; 2]> {

@@ -11,7 +11,8 @@ pub const CHUNK_STEPS_MAX: usize = 128;
 
 /// Where the tip should be at one step.
 ///
-/// Plain numbers, so that it can travel through shared memory and hold nonsense until the input gate has looked at it.
+/// Plain numbers, so that it can travel through shared memory and hold nonsense until the input
+/// gate has looked at it.
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
 #[repr(C)]
 #[type_name("trocar/tip_target/1")]
@@ -57,8 +58,8 @@ impl TipTarget {
 
 /// A policy's answer to one observation.
 ///
-/// `targets[k]` is due at `observed_at + k * step_ns`; between two of them the tip moves evenly. Targets are absolute, so
-/// chunks of different observations can be blended.
+/// `targets[k]` is due at `observed_at + k * step_ns`; between two of them the tip moves evenly.
+/// Targets are absolute, so chunks of different observations can be blended.
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
 #[repr(C)]
 #[type_name("trocar/chunk/1")]

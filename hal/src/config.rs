@@ -1,4 +1,5 @@
-//! Configuration files: TOML parsed once, checked once, and errors that name file, line, key and allowed range.
+//! Configuration files: TOML parsed once, checked once, and errors that name file, line, key and
+//! allowed range.
 
 use std::ops::Range;
 use std::path::Path;
@@ -108,11 +109,12 @@ impl Source {
         }
     }
 
-    /// The same text with `value` at the dotted `key`, which must be in it already; lines stay where they are. A value that is no TOML
-    /// is taken for a string.
+    /// The same text with `value` at the dotted `key`, which must be in it already; lines stay
+    /// where they are. A value that is no TOML is taken for a string.
     ///
     /// # Errors
-    /// [`ConfigError::NoKey`] if the text has no such value, [`ConfigError::Malformed`] if it is no TOML.
+    /// [`ConfigError::NoKey`] if the text has no such value, [`ConfigError::Malformed`] if it is no
+    /// TOML.
     pub fn with(&self, key: &str, value: &str) -> Result<Self, ConfigError> {
         let document = DeTable::parse(&self.text).map_err(|error| ConfigError::Malformed {
             path: self.path.clone(),
@@ -147,8 +149,8 @@ impl Source {
         })
     }
 
-    /// The same text with the lines `more`, a table's, in that table or else at its end, if there is nothing at the dotted `key`; lines of
-    /// no table come before all.
+    /// The same text with the lines `more`, a table's, in that table or else at its end, if there
+    /// is nothing at the dotted `key`; lines of no table come before all.
     #[must_use]
     pub fn or_with(self, key: &str, more: &str) -> Self {
         let document = DeTable::parse(&self.text).ok();
@@ -231,7 +233,8 @@ impl Source {
         Err(self.out_of_range(key, &number_text(value), &allowed))
     }
 
-    /// The error for `value` at the dotted `key`, whose indices count from 0 (`forbidden.0.radius_m`).
+    /// The error for `value` at the dotted `key`, whose indices count from 0
+    /// (`forbidden.0.radius_m`).
     #[must_use]
     pub fn out_of_range(&self, key: &str, value: &str, allowed: &str) -> ConfigError {
         ConfigError::OutOfRange {
@@ -243,7 +246,8 @@ impl Source {
         }
     }
 
-    /// The error for what `value`, a file, say, at the dotted `key` names: it is there, or not, but it can't be used.
+    /// The error for what `value`, a file, say, at the dotted `key` names: it is there, or not, but
+    /// it can't be used.
     #[must_use]
     pub fn refused(&self, key: &str, value: &str, reason: &str) -> ConfigError {
         ConfigError::Refused {
@@ -348,7 +352,8 @@ pub fn number_text(value: f64) -> String {
     }
 }
 
-/// Keeps in `best` the length and the dotted key of the smallest value, from `value` at `key` down, that covers `span`.
+/// Keeps in `best` the length and the dotted key of the smallest value, from `value` at `key` down,
+/// that covers `span`.
 ///
 /// A table's own span may be no more than its header, so its values are looked at in any case.
 fn smallest_cover(

@@ -1,4 +1,5 @@
-//! Counts and indices between the widths of integers. What does not fit is a programming error, and asserted.
+//! Counts and indices between the widths of integers. What does not fit is a programming error, and
+//! asserted.
 
 /// `count` in 32 bits: vertices of a mesh, layers of a texture, pixels of a side.
 ///

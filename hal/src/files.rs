@@ -7,8 +7,8 @@ use std::path::Path;
 /// Most bytes of a JSON text that describes something: a checkpoint, a dataset.
 pub const JSON_SIZE_MAX: u64 = 16 << 20;
 
-/// Opens `path`, which must be a regular file: a device or a pipe may never end, and opening a pipe may wait for ever. A folder is opened
-/// too, and refused by the system when it is read.
+/// Opens `path`, which must be a regular file: a device or a pipe may never end, and opening a pipe
+/// may wait for ever. A folder is opened too, and refused by the system when it is read.
 ///
 /// # Errors
 /// The system's; [`io::ErrorKind::Other`] for a device, a pipe or a socket.
@@ -16,7 +16,8 @@ pub fn open(path: &Path) -> io::Result<File> {
     opened(path).map(|(file, _)| file)
 }
 
-/// The bytes of the regular file `path`, at most `size_max`; `what` is what it is to be, for the message: `a configuration`.
+/// The bytes of the regular file `path`, at most `size_max`; `what` is what it is to be, for the
+/// message: `a configuration`.
 ///
 /// # Errors
 /// Those of [`open`]; [`io::ErrorKind::Other`] for a larger file, with both sizes.

@@ -4,8 +4,8 @@ use nalgebra::{Point3, Vector3};
 
 use crate::count::count_u32;
 
-/// A triangle mesh in its own frame, metres; triangles that are counter-clockwise from where one looks face there, which is
-/// outwards for solids.
+/// A triangle mesh in its own frame, metres; triangles that are counter-clockwise from where one
+/// looks face there, which is outwards for solids.
 #[derive(Clone, Debug, Default)]
 pub struct Mesh {
     /// Vertex positions, m.
@@ -17,7 +17,8 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Adds a vertex at `position` (m) whose normal has the direction of `normal`, +z if that has no length; its index.
+    /// Adds a vertex at `position` (m) whose normal has the direction of `normal`, +z if that has
+    /// no length; its index.
     pub fn vertex(&mut self, position: Point3<f64>, normal: Vector3<f64>) -> u32 {
         let index = count_u32(self.positions.len());
         let normal = normal.try_normalize(1e-12).unwrap_or_else(Vector3::z);

@@ -2,7 +2,8 @@
 
 use crate::{ArmState, Chunk, FrameRef, Pose, TICK_NS, TipTarget};
 
-/// One policy step: the time between two observations that a run may show a policy, ns. The steps of its chunks may be others.
+/// One policy step: the time between two observations that a run may show a policy, ns. The steps
+/// of its chunks may be others.
 pub const POLICY_STEP_NS: u64 = 40 * TICK_NS;
 
 /// What a policy sees of one arm at one instant.
@@ -25,7 +26,8 @@ impl ArmObservation {
 /// What a policy sees at one instant.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
-    /// The measured arms, of one instant and in their order; the stamp of the first is the observation's.
+    /// The measured arms, of one instant and in their order; the stamp of the first is the
+    /// observation's.
     pub arms: &'a [ArmObservation],
     /// Frames taken at the observation, in the order of the policy's camera list.
     pub frames: &'a [FrameRef<'a>],
@@ -36,12 +38,14 @@ pub trait Policy {
     /// Forgets the past; everything random afterwards depends on `seed`.
     fn reset(&mut self, seed: u64);
 
-    /// How many policy steps ([`POLICY_STEP_NS`]) before a query it wants to have observed too; see [`observe`](Self::observe).
+    /// How many policy steps ([`POLICY_STEP_NS`]) before a query it wants to have observed too; see
+    /// [`observe`](Self::observe).
     fn history_steps(&self) -> u64 {
         0
     }
 
-    /// Remembers `observation` for the query that follows in at most [`history_steps`](Self::history_steps) steps.
+    /// Remembers `observation` for the query that follows in at most
+    /// [`history_steps`](Self::history_steps) steps.
     ///
     /// # Errors
     /// [`PolicyError`] when the observation does not fit the policy.
@@ -50,7 +54,8 @@ pub trait Policy {
         Ok(())
     }
 
-    /// The chunks that answer `observation`, one for each of its arms, all with the same time and sequence.
+    /// The chunks that answer `observation`, one for each of its arms, all with the same time and
+    /// sequence.
     ///
     /// # Errors
     /// [`PolicyError`] when the observation does not fit the policy or the computation failed.

@@ -1,14 +1,15 @@
 //! The dVRK Classic patient-side manipulator with a Large Needle Driver 400006 (8 mm), as data.
 //!
 //! Geometry, limits, coupling, motors and joint controllers as the dVRK ships them
-//! (`sawIntuitiveResearchKit`: `share/kinematic/PSM.json`, `share/tool/LARGE_NEEDLE_DRIVER_400006.json`,
-//! `share/pid/sawControllersPID-PSM.json`, `core/applications/io-config-generator`). The controller and the simulator
-//! both build from it and share nothing else.
+//! (`sawIntuitiveResearchKit`: `share/kinematic/PSM.json`,
+//! `share/tool/LARGE_NEEDLE_DRIVER_400006.json`, `share/pid/sawControllersPID-PSM.json`,
+//! `core/applications/io-config-generator`). The controller and the simulator both build from it
+//! and share nothing else.
 
 use crate::JOINT_COUNT;
 
-/// One row of modified (Craig) Denavit-Hartenberg parameters: `Rx(alpha) Tx(a) Rz(theta) Tz(d)`, the joint value added
-/// to `theta` or, for the prismatic joint, to `d`.
+/// One row of modified (Craig) Denavit-Hartenberg parameters: `Rx(alpha) Tx(a) Rz(theta) Tz(d)`,
+/// the joint value added to `theta` or, for the prismatic joint, to `d`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DhRow {
     /// Twist of the previous link, rad.
@@ -54,7 +55,8 @@ pub const TOOL_M: f64 = 0.4162;
 /// Wrist-pitch axis to wrist-yaw axis, m.
 pub const WRIST_M: f64 = 0.0091;
 
-/// Wrist-yaw axis (the control point, the dVRK's tool centre point) to the finger tips, along the tip frame's z, m.
+/// Wrist-yaw axis (the control point, the dVRK's tool centre point) to the finger tips, along the
+/// tip frame's z, m.
 pub const FINGER_M: f64 = 0.0102;
 
 /// Radius of the instrument shaft, m.
@@ -76,7 +78,8 @@ pub const JAW_MIN: f64 = -0.698_132;
 /// See [`JAW_MIN`].
 pub const JAW_MAX: f64 = 1.396_26;
 
-/// Lower mechanical stops, rad (m), jaw last: the joint limits are the stops, but closed fingers stop each other at 0, above [`JAW_MIN`].
+/// Lower mechanical stops, rad (m), jaw last: the joint limits are the stops, but closed fingers
+/// stop each other at 0, above [`JAW_MIN`].
 pub const STOP_MIN: [f64; JOINT_COUNT + 1] = jaw_last(POSITION_MIN, 0.0);
 
 /// Upper mechanical stops, rad (m), jaw last.
@@ -101,7 +104,8 @@ pub const VELOCITY_MAX: [f64; JOINT_COUNT + 1] = {
 /// One degree, rad.
 pub const DEGREE: f64 = core::f64::consts::PI / 180.0;
 
-/// `joint = COUPLING * disc` for roll, wrist pitch, wrist yaw, jaw (rows) and the four tool discs (columns).
+/// `joint = COUPLING * disc` for roll, wrist pitch, wrist yaw, jaw (rows) and the four tool discs
+/// (columns).
 pub const COUPLING: [[f64; 4]; 4] = [
     [-1.5632, 0.0, 0.0, 0.0],
     [0.0, 1.0186, 0.0, 0.0],
@@ -147,7 +151,8 @@ const fn actuator(
     }
 }
 
-/// Actuators in order yaw, pitch, insertion, disc 1 to 4, with the joint controllers as shipped (no integral term).
+/// Actuators in order yaw, pitch, insertion, disc 1 to 4, with the joint controllers as shipped (no
+/// integral term).
 pub const ACTUATORS: [Actuator; JOINT_COUNT + 1] = [
     actuator(14_400.0, 56.50, 1.34, 120.0, 6.0, 0.5),
     actuator(14_400.0, 56.50, 1.34, 120.0, 5.0, 0.5),

@@ -1,6 +1,7 @@
 //! Seeded random numbers: SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
 
-/// The 64-bit FNV-1a hash of `bytes` (Fowler, Noll and Vo): keeps names of streams, or pictures, apart.
+/// The 64-bit FNV-1a hash of `bytes` (Fowler, Noll and Vo): keeps names of streams, or pictures,
+/// apart.
 #[must_use]
 pub fn fnv_1a(bytes: impl IntoIterator<Item = u8>) -> u64 {
     bytes.into_iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {

@@ -1,4 +1,5 @@
-//! The interface to all arms of a session with their clock: a simulation, drives on buses, another controller's console.
+//! The interface to all arms of a session with their clock: a simulation, drives on buses, another
+//! controller's console.
 
 use crate::{ArmCommand, ArmError, ArmState, PerArm, SafeTail, TimeNs};
 
@@ -23,13 +24,16 @@ pub struct Period {
 
 /// The arms of a session, one or two, with what paces them.
 ///
-/// The rig says when a period begins: a simulation in lockstep at once, when its step is computed; one that runs beside the loop, and
-/// drives on buses, when the clock says so. So the same loop drives them all, and a command leaves as soon as it is computed,
-/// not with the beginning of the next period.
+/// The rig says when a period begins: a simulation in lockstep at once, when its step is computed;
+/// one that runs beside the loop, and drives on buses, when the clock says so. So the same loop
+/// drives them all, and a command leaves as soon as it is computed, not with the beginning of the
+/// next period.
 pub trait Rig {
-    /// Sends the set-points of the period that ends, if it has some, and begins the next one: waits until it is due, and reads.
+    /// Sends the set-points of the period that ends, if it has some, and begins the next one: waits
+    /// until it is due, and reads.
     ///
-    /// A set-point that can't be sent is reported as its arm's next measurement. An arm that is sent none plays the rest of its
-    /// last tail; before the first it holds the position at which it was found.
+    /// A set-point that can't be sent is reported as its arm's next measurement. An arm that is
+    /// sent none plays the rest of its last tail; before the first it holds the position at which
+    /// it was found.
     fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period;
 }

@@ -1,10 +1,13 @@
-//! The safe tail: the rest of a stop, which travels with every command. Hot path: bounded, no allocation, no I/O, no lock.
+//! The safe tail: the rest of a stop, which travels with every command. Hot path: bounded, no
+//! allocation, no I/O, no lock.
 //!
-//! With each setpoint the controller hands over a way from there to rest that it has checked against every limit. Whoever
-//! gets no further command plays it, so that a dead, hung or cut-off controller leaves a smooth stop and a held arm.
+//! With each setpoint the controller hands over a way from there to rest that it has checked
+//! against every limit. Whoever gets no further command plays it, so that a dead, hung or cut-off
+//! controller leaves a smooth stop and a held arm.
 //!
-//! A tail is the stop itself and not its first points: each axis is a start and three phases of constant jerk. It is
-//! recomputed by a replay like everything else that a tick gives, so neither the log nor the command hash holds it.
+//! A tail is the stop itself and not its first points: each axis is a start and three phases of
+//! constant jerk. It is recomputed by a replay like everything else that a tick gives, so neither
+//! the log nor the command hash holds it.
 
 mod player;
 
@@ -107,7 +110,8 @@ impl AxisTail {
         }
     }
 
-    /// Where the last phase ends. A tail that has velocity or acceleration left there, rounding aside, is no stop.
+    /// Where the last phase ends. A tail that has velocity or acceleration left there, rounding
+    /// aside, is no stop.
     #[must_use]
     pub fn end(&self) -> AxisPoint {
         self.phases.iter().fold(self.start, |knot, phase| {
@@ -148,12 +152,13 @@ impl AxisTail {
 /// An arm on its way to rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SafeTail {
-    /// When the stop starts: the stamp of the command that it travels with, or an earlier one if that command is on the
-    /// way already.
+    /// When the stop starts: the stamp of the command that it travels with, or an earlier one if
+    /// that command is on the way already.
     pub stamp: TimeNs,
     /// The joints in order, then the jaw.
     pub axes: [AxisTail; TAIL_AXES],
-    /// Whether the drives hold torque, on the way and at rest. The tail of a disabled arm stays disabled.
+    /// Whether the drives hold torque, on the way and at rest. The tail of a disabled arm stays
+    /// disabled.
     pub enabled: bool,
 }
 
@@ -168,7 +173,8 @@ impl SafeTail {
         }
     }
 
-    /// An arm that rests where `command` puts it at once; a stop only for a command that does not move.
+    /// An arm that rests where `command` puts it at once; a stop only for a command that does not
+    /// move.
     #[must_use]
     pub fn hold(command: &ArmCommand) -> Self {
         let positions = core::array::from_fn(|axis| {
@@ -208,7 +214,8 @@ impl SafeTail {
             .fold(0.0, |longest, axis| axis.duration_s().max(longest))
     }
 
-    /// The `count` setpoints that follow `now`, one every `period_ns`, for a bus or a drive that wants some ahead.
+    /// The `count` setpoints that follow `now`, one every `period_ns`, for a bus or a drive that
+    /// wants some ahead.
     pub fn points(
         &self,
         now: TimeNs,

@@ -12,8 +12,8 @@ pub const TICK_S: f64 = 1e-3;
 
 /// A point in time, in nanoseconds since the run began.
 ///
-/// In lockstep it is the tick counter times [`TICK_NS`]; in a real-time run the driver supplies it. Nothing else reads
-/// a clock.
+/// In lockstep it is the tick counter times [`TICK_NS`]; in a real-time run the driver supplies it.
+/// Nothing else reads a clock.
 #[derive(
     Clone,
     Copy,

@@ -1,4 +1,5 @@
-//! The folder of libtorch, as every package with a binary has it, and what reaches libtorch's CUDA graphs, which are C++.
+//! The folder of libtorch, as every package with a binary has it, and what reaches libtorch's CUDA
+//! graphs, which are C++.
 
 #[path = "../build.rs"]
 mod libtorch;

@@ -1,4 +1,5 @@
-//! The folder of libtorch, as every package with a binary has it, and the commit that a release build is of.
+//! The folder of libtorch, as every package with a binary has it, and the commit that a release
+//! build is of.
 
 #[path = "../../policy/build.rs"]
 mod libtorch;
@@ -12,7 +13,8 @@ fn main() {
     println!("cargo:rustc-env=TROCAR_COMMIT={}", commit());
 }
 
-/// What logs say of the commit. A debug build is not made anew for each commit, so that it does not say.
+/// What logs say of the commit. A debug build is not made anew for each commit, so that it does not
+/// say.
 fn commit() -> String {
     if let Ok(told) = env::var("TROCAR_COMMIT") {
         return told;

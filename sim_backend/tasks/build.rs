@@ -1,4 +1,5 @@
-//! Collects the tasks that are built in: every folder of `config/tasks/`, so that adding one takes no line of code.
+//! Collects the tasks that are built in: every folder of `config/tasks/`, so that adding one takes
+//! no line of code.
 
 use std::error::Error;
 use std::fmt::Write as _;

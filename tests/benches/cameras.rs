@@ -1,4 +1,5 @@
-//! Eight cameras at 60 Hz with two readers each: frames that a reader missed, how late they came, and whether memory grows.
+//! Eight cameras at 60 Hz with two readers each: frames that a reader missed, how late they came,
+//! and whether memory grows.
 //!
 //! Runs for 5 s, or as long as `TROCAR_CAMERAS_S` says, s.
 

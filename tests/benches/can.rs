@@ -1,4 +1,5 @@
-//! The CAN arm's cycle for one arm and for two, and frames through the codecs, each beside what it must be.
+//! The CAN arm's cycle for one arm and for two, and frames through the codecs, each beside what it
+//! must be.
 
 mod support;
 
@@ -76,7 +77,8 @@ impl Rig {
     }
 }
 
-/// Time in the cycle alone, without the buses in memory, beside the period in which it has to be done.
+/// Time in the cycle alone, without the buses in memory, beside the period in which it has to be
+/// done.
 fn cycles(criterion: &mut Criterion, name: &str, rigs: &mut [Rig]) {
     let clock = MonotonicClock::new();
     let spent = support::measure(criterion, name, CYCLES, || {
@@ -100,8 +102,8 @@ fn cycles(criterion: &mut Criterion, name: &str, rigs: &mut [Rig]) {
     );
 }
 
-/// Frames a second of `work`, which does a thousand, beside what `buses` can bring at 1 Mbit/s: an empty frame without any
-/// stuffing is the shortest.
+/// Frames a second of `work`, which does a thousand, beside what `buses` can bring at 1 Mbit/s: an
+/// empty frame without any stuffing is the shortest.
 fn frame_rate(criterion: &mut Criterion, name: &str, buses: u32, mut work: impl FnMut()) {
     let clock = MonotonicClock::new();
     let spent = support::measure(criterion, name, THOUSANDS, || {

@@ -1,6 +1,7 @@
-//! One answer of an untrained ACT-PC, DP3 and SimpleDP3, folded as policies run them, to a point cloud, on one core. What it takes
-//! does not depend on the parameters' values, but for those that half precision holds. DP3 is set beside what the core takes for
-//! no more than reading the weights of its convolutions, in single precision, once each inference step.
+//! One answer of an untrained ACT-PC, DP3 and SimpleDP3, folded as policies run them, to a point
+//! cloud, on one core. What it takes does not depend on the parameters' values, but for those that
+//! half precision holds. DP3 is set beside what the core takes for no more than reading the weights
+//! of its convolutions, in single precision, once each inference step.
 
 #![expect(
     clippy::expect_used,
@@ -65,7 +66,8 @@ fn report(
     ms(0.5)
 }
 
-/// What the core takes to read as many bytes from four places at once, which is the fastest it reads; the best of ten, ms.
+/// What the core takes to read as many bytes from four places at once, which is the fastest it
+/// reads; the best of ten, ms.
 fn reading_ms(bytes: usize) -> f64 {
     let clock = MonotonicClock::new();
     let numbers = vec![1_u64; bytes / size_of::<u64>()];

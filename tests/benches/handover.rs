@@ -1,4 +1,5 @@
-//! A camera frame from writer to readers: through shared memory against a copy of the same bytes through a pipe and a Unix socket.
+//! A camera frame from writer to readers: through shared memory against a copy of the same bytes
+//! through a pipe and a Unix socket.
 
 #![expect(
     clippy::expect_used,
@@ -189,7 +190,8 @@ fn last_of<'a>(arrivals: impl Iterator<Item = &'a Receiver<TimeNs>>, before: Tim
     had.map(|had| had.since(before)).max().unwrap_or(0)
 }
 
-/// All bytes of the frame into the buffers of other threads, each on a way of its own; until the last of them has it.
+/// All bytes of the frame into the buffers of other threads, each on a way of its own; until the
+/// last of them has it.
 fn through<I: Read + Send + 'static, O: Write + 'static>(
     criterion: &mut Criterion,
     (name, readers): (&str, usize),

@@ -34,7 +34,8 @@ const CAMERAS: [&str; 3] = ["endoscope", "wrist_psm1", "side"];
 const SIDE_PIXELS: u32 = 512;
 const RUNS: u32 = 20;
 
-/// Saves an untrained network of the preset `small` with some cameras, which takes as long as a trained one.
+/// Saves an untrained network of the preset `small` with some cameras, which takes as long as a
+/// trained one.
 fn save_untrained(folder: &Path, cameras: &[&str]) -> Result<(), Box<dyn Error>> {
     let feature = |camera: &&str| format!("observation.images.{camera}");
     let cameras: Vec<String> = cameras.iter().map(feature).collect();

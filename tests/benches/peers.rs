@@ -1,10 +1,12 @@
-//! Our side of `tests/scripts/eager_peers.py`, which starts it and sets it beside eager PyTorch in one run.
+//! Our side of `tests/scripts/eager_peers.py`, which starts it and sets it beside eager PyTorch in
+//! one run.
 //!
-//! `peers FOLDER cpu|cuda THREADS` reads requests from standard input, a line each: `make NETWORK` builds an untrained
-//! network and writes its weights and an observation to FOLDER; `time NETWORK RUNS` answers that often, and leaves the
-//! answer there. Each is acknowledged with a line of JSON. NETWORK may end in `-half`: weights that half precision holds, as
-//! those of committed policies; and in `-bf16`, which takes the weights of the one without. Timed is what the script times of its peers: from a normalised observation on the device to the answer on the
-//! host.
+//! `peers FOLDER cpu|cuda THREADS` reads requests from standard input, a line each: `make NETWORK`
+//! builds an untrained network and writes its weights and an observation to FOLDER; `time NETWORK
+//! RUNS` answers that often, and leaves the answer there. Each is acknowledged with a line of JSON.
+//! NETWORK may end in `-half`: weights that half precision holds, as those of committed policies;
+//! and in `-bf16`, which takes the weights of the one without. Timed is what the script times of
+//! its peers: from a normalised observation on the device to the answer on the host.
 
 #![expect(clippy::print_stdout, reason = "standard output is how it answers")]
 

@@ -1,5 +1,5 @@
-//! From a 512x512 depth image to a point cloud, on one core, and farthest-point sampling against the plain algorithm and
-//! against libtorch.
+//! From a 512x512 depth image to a point cloud, on one core, and farthest-point sampling against
+//! the plain algorithm and against libtorch.
 
 #![expect(
     clippy::expect_used,

@@ -1,4 +1,5 @@
-//! The simulator: every task's physics and whole lockstep against real time, one physics step, and every task's cameras.
+//! The simulator: every task's physics and whole lockstep against real time, one physics step, and
+//! every task's cameras.
 
 #![expect(
     clippy::expect_used,
@@ -29,7 +30,8 @@ const STEPS: u32 = 20_000;
 const EPISODES: u64 = 3;
 const REPLAYS: u32 = 3;
 const FRAMES: u32 = 10;
-/// What the simulation of a rigid task must be faster than real time on one core, and of the tissue.
+/// What the simulation of a rigid task must be faster than real time on one core, and of the
+/// tissue.
 const RIGID: f64 = 20.0;
 const SOFT: f64 = 3.0;
 const SIDE_PIXELS: u32 = 512;
@@ -151,7 +153,8 @@ fn replay(setup: &Setup, seed: u64, commands: &[Vec<ArmCommand>]) -> Simulation 
     simulation
 }
 
-/// A task's share of real time, simulation alone and with expert and controller, over whole episodes, their making included.
+/// A task's share of real time, simulation alone and with expert and controller, over whole
+/// episodes, their making included.
 fn against_real_time(
     criterion: &mut Criterion,
     setup: &Setup,

@@ -1,5 +1,5 @@
-//! The controller's tick, that is filter, smoother, guard and a little more: of one arm and of two, with the safety QP inactive
-//! and with it active; and how long it takes to hand over its state.
+//! The controller's tick, that is filter, smoother, guard and a little more: of one arm and of two,
+//! with the safety QP inactive and with it active; and how long it takes to hand over its state.
 
 mod support;
 
@@ -28,7 +28,8 @@ const CHUNK_STEPS: usize = 100;
 const WARM_UP_TICKS: u32 = 5_000;
 /// Ticks that percentiles are taken over.
 const TICKS: u32 = 30_000;
-/// The same scheduling as the control thread's, so that neighbours do not count where the system allows it.
+/// The same scheduling as the control thread's, so that neighbours do not count where the system
+/// allows it.
 const REAL_TIME: RtOptions = RtOptions {
     priority: Some(80),
     cpu: None,
@@ -36,7 +37,8 @@ const REAL_TIME: RtOptions = RtOptions {
     strict: false,
 };
 
-/// A controller with arms that are wherever they were told to be, and a policy that answers every step.
+/// A controller with arms that are wherever they were told to be, and a policy that answers every
+/// step.
 struct Rig<const ARMS: usize> {
     controller: Controller<ARMS>,
     path: fn(f64) -> TipTarget,

@@ -13,7 +13,8 @@ pub fn repository() -> PathBuf {
         .map_or_else(PathBuf::new, Path::to_path_buf)
 }
 
-/// The `trocar` binary, to be run in the repository's root: `TROCAR_CHECKED`, which `make test` sets, else what `cargo build` made.
+/// The `trocar` binary, to be run in the repository's root: `TROCAR_CHECKED`, which `make test`
+/// sets, else what `cargo build` made.
 ///
 /// # Panics
 /// If it was not built.
@@ -70,13 +71,15 @@ pub fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// Waits for the machine to be free of other real-time runs of this test program, and keeps it as long as the guard lives.
+/// Waits for the machine to be free of other real-time runs of this test program, and keeps it as
+/// long as the guard lives.
 pub fn alone() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The process that `parent` started for `verb`, as soon as there is one; none while it is still a copy of its parent.
+/// The process that `parent` started for `verb`, as soon as there is one; none while it is still a
+/// copy of its parent.
 #[must_use]
 pub fn child_of(parent: u32, verb: &str) -> Option<u32> {
     let threads = fs::read_dir(format!("/proc/{parent}/task")).ok()?.flatten();

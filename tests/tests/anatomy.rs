@@ -136,7 +136,8 @@ fn patient_is_drawn_and_worked_on() {
     // Our stage, as one of another program.
     let stage = run(&format!("{out}/patient.usda"), "liver");
     assert!(stage.status.success(), "{}", stderr(&stage));
-    // The patch may be another one: it is chosen among some of the vertices, whose order is each file's.
+    // The patch may be another one: it is chosen among some of the vertices, whose order is each
+    // file's.
     let told = json(&result);
     assert_eq!(told["success"], true);
     assert_eq!(told["patient"]["organ"], "liver");
@@ -207,7 +208,8 @@ fn bad_volumes_tables_and_options_are_refused() {
     );
 }
 
-/// Trains a very small network, which is written as `out`, and says what came of it in `trained.json` beside it.
+/// Trains a very small network, which is written as `out`, and says what came of it in
+/// `trained.json` beside it.
 fn train(folder: &Path, out: &str) -> Vec<u8> {
     let told = folder.join("trained.json").display().to_string();
     let size = ["--spacing-mm", "12", "--patch", "24", "--widths", "8,16"];
@@ -217,8 +219,8 @@ fn train(folder: &Path, out: &str) -> Vec<u8> {
     fs::read(out).unwrap()
 }
 
-/// From a CT to meshes with a network that was trained here: files are whole, the same seed gives the same network, and little memory the
-/// same labels.
+/// From a CT to meshes with a network that was trained here: files are whole, the same seed gives
+/// the same network, and little memory the same labels.
 #[test]
 fn ct_becomes_labels_and_meshes() {
     let folder = scratch("anatomy-segment");
@@ -266,8 +268,8 @@ fn ct_becomes_labels_and_meshes() {
     assert_eq!(patient["size"], size);
 }
 
-/// The network of `config/anatomy` labels a patient that it was not trained on. Its CT is coarser than the network's 3 mm, so thin tissues cost
-/// no Dice at the voxels' faces.
+/// The network of `config/anatomy` labels a patient that it was not trained on. Its CT is coarser
+/// than the network's 3 mm, so thin tissues cost no Dice at the voxels' faces.
 #[test]
 fn committed_segmenter_labels_an_unseen_patient() {
     let folder = scratch("anatomy-segmenter");

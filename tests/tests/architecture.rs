@@ -1,5 +1,5 @@
-//! The documents say what is: the files, modules and tests that they name exist, the absences that ARCHITECTURE.md states hold, and what
-//! is read first stays short.
+//! The documents say what is: the files, modules and tests that they name exist, the absences that
+//! ARCHITECTURE.md states hold, and what is read first stays short.
 
 #![expect(
     clippy::expect_used,

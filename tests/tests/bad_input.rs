@@ -56,7 +56,8 @@ fn checkpoint(name: &str) -> PathBuf {
     folder
 }
 
-/// A run with a checkpoint that `damage` may spoil; in real time, where another process loads it, the same is said.
+/// A run with a checkpoint that `damage` may spoil; in real time, where another process loads it,
+/// the same is said.
 fn run_with_checkpoint(name: &str, damage: impl Fn(&Path)) -> String {
     let folder = checkpoint(name);
     damage(&folder);
@@ -128,7 +129,8 @@ fn missing_weights_are_refused() {
     assert!(message.contains("model.safetensors"), "{message}");
 }
 
-/// What `trocar` with `arguments` says within a minute; it is killed after that, since a pipe that nobody writes to is waited for without end.
+/// What `trocar` with `arguments` says within a minute; it is killed after that, since a pipe that
+/// nobody writes to is waited for without end.
 fn within_a_minute(arguments: &[&str]) -> Output {
     let mut command = trocar();
     command.args(arguments).stdout(Stdio::null());

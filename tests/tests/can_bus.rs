@@ -1,6 +1,8 @@
-//! A real CAN bus: the kernel's CAN sockets, can-utils, python canopen and Wireshark's dissector, on virtual interfaces.
+//! A real CAN bus: the kernel's CAN sockets, can-utils, python canopen and Wireshark's dissector,
+//! on virtual interfaces.
 //!
-//! `make test-can` runs these where the interfaces are, which is why a plain `cargo test` leaves them out; see `.ci/with-vcan`.
+//! `make test-can` runs these where the interfaces are, which is why a plain `cargo test` leaves
+//! them out; see `.ci/with-vcan`.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -205,7 +207,8 @@ fn python_master_and_python_drives_agree() {
     }
 }
 
-/// The frames of a candump log that Wireshark's CANopen dissector, and `filter`, accept, a line for each.
+/// The frames of a candump log that Wireshark's CANopen dissector, and `filter`, accept, a line for
+/// each.
 fn dissected(capture: &std::path::Path, filter: &str) -> Vec<String> {
     let output = Command::new("tshark")
         .args(["-d", "can.subdissector,canopen", "-Y", filter, "-r"])

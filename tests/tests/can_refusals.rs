@@ -1,4 +1,5 @@
-//! What `trocar drives` and `trocar run --backend can` refuse before they touch a bus; these need none.
+//! What `trocar drives` and `trocar run --backend can` refuse before they touch a bus; these need
+//! none.
 #![expect(
     clippy::unwrap_used,
     reason = "in a test, a failure to set up is a failure"
@@ -178,7 +179,8 @@ fn robot_needs_limits_a_bus_and_a_policy() {
     }
 }
 
-/// Whether what is told is that there is no interface nocan7, and what would help: on a kernel without CAN that is another thing.
+/// Whether what is told is that there is no interface nocan7, and what would help: on a kernel
+/// without CAN that is another thing.
 fn lacks_the_bus(told: &str) -> bool {
     let absent = "nocan7: cannot be opened as a CAN interface: ";
     let no_can = "nocan7: there are no CAN sockets: ";
@@ -226,7 +228,8 @@ fn one_node_for_two_axes_is_refused() {
         "[\"vcan1\"]\nsync_id = 0x080",
     );
     let cases = [
-        // On one interface no master could tell them apart; on two it is only the drives' process that could not.
+        // On one interface no master could tell them apart; on two it is only the drives' process
+        // that could not.
         (
             &[nodes][..],
             "arm.1.nodes.2 = 3 is outside one that the first arm",

@@ -495,7 +495,8 @@ fn enabled(run: &[&str], log: &Path, result: &Path) -> Child {
     child
 }
 
-/// A run that is signalled once its arm is enabled, and again after each of these pauses, ms; its exit code and its result.
+/// A run that is signalled once its arm is enabled, and again after each of these pauses, ms; its
+/// exit code and its result.
 fn interrupted(run: &[&str], name: &str, again: &[u64]) -> (Option<i32>, serde_json::Value) {
     let folder = scratch(name);
     let (log, result) = (folder.join("a.mcap"), folder.join("a.json"));
@@ -550,7 +551,8 @@ fn expect_ended_by_signal(child: &mut Child) {
     assert_eq!(status.signal(), Some(libc::SIGINT), "{status}");
 }
 
-/// Until the arm rests, half a second after it stands, the third signal ends the run at once: nothing closes its log.
+/// Until the arm rests, half a second after it stands, the third signal ends the run at once:
+/// nothing closes its log.
 #[test]
 fn a_third_signal_in_motion_ends_the_run_at_once() {
     let folder = scratch("command_line_thrice");
@@ -566,7 +568,8 @@ fn a_third_signal_in_motion_ends_the_run_at_once() {
     assert!(!result.exists());
 }
 
-/// Once the arm rests the second signal ends the run at once, whatever it waits for: here for a reader of its result.
+/// Once the arm rests the second signal ends the run at once, whatever it waits for: here for a
+/// reader of its result.
 #[test]
 fn a_second_signal_after_rest_ends_the_run_at_once() {
     let folder = scratch("command_line_after_rest");

@@ -1,5 +1,5 @@
-//! What [`hal::Arm`] promises, tested once and run on every backend: the simulated arm, the arm on CAN buses with emulated
-//! drives, and arms that play a log back.
+//! What [`hal::Arm`] promises, tested once and run on every backend: the simulated arm, the arm on
+//! CAN buses with emulated drives, and arms that play a log back.
 
 #![expect(
     clippy::unwrap_used,

@@ -1,4 +1,5 @@
-//! The web console: who may open it, what a page may say, and what it is told; with a browser, what it looks like.
+//! The web console: who may open it, what a page may say, and what it is told; with a browser, what
+//! it looks like.
 #![expect(
     clippy::unwrap_used,
     clippy::expect_used,

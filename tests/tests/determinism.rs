@@ -1,4 +1,5 @@
-//! The same seed gives the same bits in every task: twice in one process, in another process, with and without cameras.
+//! The same seed gives the same bits in every task: twice in one process, in another process, with
+//! and without cameras.
 
 #![expect(
     clippy::unwrap_used,

@@ -1,5 +1,5 @@
-//! The controller's aggregation by due time against ACT's published ensembling by count of steps: on answers that come every
-//! step, on time, they are the same.
+//! The controller's aggregation by due time against ACT's published ensembling by count of steps:
+//! on answers that come every step, on time, they are the same.
 
 use hal::random::SplitMix64;
 use hal::{Chunk, TimeNs, TipTarget};

@@ -1,4 +1,5 @@
-//! `trocar eval` as CI and papers need it: exit codes by the rate, an interrupt that loses nothing, logs of what was lost.
+//! `trocar eval` as CI and papers need it: exit codes by the rate, an interrupt that loses nothing,
+//! logs of what was lost.
 
 #![expect(
     clippy::unwrap_used,

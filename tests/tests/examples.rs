@@ -47,7 +47,8 @@ fn an_own_policy_is_asked_and_its_chunks_are_taken() {
     assert_eq!(summary.policy.refused, 0, "{summary:?}");
 }
 
-/// The trials are those of single runs, however many there are at a time: each begins with the policy as it was at first.
+/// The trials are those of single runs, however many there are at a time: each begins with the
+/// policy as it was at first.
 #[test]
 fn an_own_policy_is_evaluated() {
     let run = own_policy::run().unwrap().summary;
@@ -102,7 +103,8 @@ fn a_rig_of_another_number_of_arms_is_refused() {
     assert!(refused.contains("the rig has 1 arms"), "{refused}");
 }
 
-/// An own robot driven by the committed policy for needle lift, whose endoscope an own camera shows with `side` by `side` pixels, and its log.
+/// An own robot driven by the committed policy for needle lift, whose endoscope an own camera shows
+/// with `side` by `side` pixels, and its log.
 fn driven_by_sight(side: u32) -> (Result<RunResult, SessionError>, PathBuf) {
     let log = scratch(&format!("own-robot-sees-{side}")).join("run.mcap");
     let topics = format!("own-robot-{side}-{}", std::process::id());
@@ -156,8 +158,8 @@ fn an_own_camera_of_another_size_is_refused() {
     );
 }
 
-/// Frames of the example's camera as a run sees them: of the size that it says, stamped with the time of now, each newer than the
-/// one before, and another picture.
+/// Frames of the example's camera as a run sees them: of the size that it says, stamped with the
+/// time of now, each newer than the one before, and another picture.
 #[test]
 fn an_own_cameras_frames_are_seen_as_they_come() {
     let topics = format!("own-camera-{}", std::process::id());

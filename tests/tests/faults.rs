@@ -1,7 +1,9 @@
-//! Faults of runs in real time, each done for real: how it is seen, when the arm rests, whether limits hold, whether the run goes on.
+//! Faults of runs in real time, each done for real: how it is seen, when the arm rests, whether
+//! limits hold, whether the run goes on.
 //!
-//! Each test keeps its rows of the fault matrix, with times from the log of the run: `tests/scripts/fault_matrix.py` makes the table in
-//! `runtime/SAFETY.md` of them. The controller's ticks from a fault's detection until the arm rests are bounded; other times are reported.
+//! Each test keeps its rows of the fault matrix, with times from the log of the run:
+//! `tests/scripts/fault_matrix.py` makes the table in `runtime/SAFETY.md` of them. The controller's
+//! ticks from a fault's detection until the arm rests are bounded; other times are reported.
 #![expect(
     clippy::unwrap_used,
     clippy::print_stdout,
@@ -193,7 +195,8 @@ impl Run {
         (code.and_then(|status| status.code()), result)
     }
 
-    /// Ends the run a little later as a person would, and gives back its log, which breaks no limit.
+    /// Ends the run a little later as a person would, and gives back its log, which breaks no
+    /// limit.
     fn interrupted(mut self) -> (RunLog, serde_json::Value) {
         sleep_ns(1000 * MS_NS);
         self.send("-INT");
@@ -222,7 +225,8 @@ impl Drop for Run {
     }
 }
 
-/// The log ends with an arm at rest that has no torque; its drive lost it while it rested, unless the arm holds with a fault.
+/// The log ends with an arm at rest that has no torque; its drive lost it while it rested, unless
+/// the arm holds with a fault.
 fn expect_rest(log: &RunLog) {
     let (last, _) = log.ticks().last().unwrap();
     let told = last.arms.first.command;
@@ -250,8 +254,8 @@ fn send(signal: &str, process: u32) {
 /// How far a target that ends a hold may be from the arm, mm: the gate's own limit.
 const RESUME_MM: f64 = 10.0;
 
-/// The log's ticks from the one that ends the run's hold, which began with an arm that came to rest. Nothing is given to the arm that answers
-/// an observation from before the hold.
+/// The log's ticks from the one that ends the run's hold, which began with an arm that came to
+/// rest. Nothing is given to the arm that answers an observation from before the hold.
 fn after_hold(log: &RunLog) -> Vec<(&LoggedTick, Option<&Chunk>)> {
     let asked = |event: OperatorEvent| {
         let mut ticks = log.ticks();
@@ -282,7 +286,8 @@ fn away_mm(tick: &LoggedTick, chunk: &Chunk) -> f64 {
     (due.translation.vector - tip.translation.vector).norm() * 1e3
 }
 
-/// How an arm went on after it was held: the distance of the first target that it was given to where it was, mm, which the gate limits.
+/// How an arm went on after it was held: the distance of the first target that it was given to
+/// where it was, mm, which the gate limits.
 fn resumed_mm(log: &RunLog) -> f64 {
     let after = after_hold(log);
     let mut given = after
@@ -320,7 +325,8 @@ fn row_restarted(name: &str, (fault, seen): (&str, &str), log: &RunLog, injected
     row(name, fault, &format!("`{}`", seen.trim()), &taken, &then);
 }
 
-/// Our own policy process is killed, and hangs: the arm holds until it is there again, and goes on from where it is.
+/// Our own policy process is killed, and hangs: the arm holds until it is there again, and goes on
+/// from where it is.
 #[test]
 fn dead_or_hung_policy_is_restarted_and_the_arm_goes_on() {
     let _turn = alone();
@@ -389,7 +395,8 @@ fn the_last_restart_ends_the_run_at_rest() {
     );
 }
 
-/// What an external policy says wrong has no effect: the arm rests when its last good chunk ends, and goes on with the next good one.
+/// What an external policy says wrong has no effect: the arm rests when its last good chunk ends,
+/// and goes on with the next good one.
 #[test]
 fn bad_answers_bring_the_arm_to_rest_until_a_good_one_comes() {
     let _turn = alone();
@@ -429,7 +436,8 @@ fn bad_answers_bring_the_arm_to_rest_until_a_good_one_comes() {
     }
 }
 
-/// A policy that comes back and asks for what is 30 mm away is refused by name and moves nothing, until it begins where the arm is.
+/// A policy that comes back and asks for what is 30 mm away is refused by name and moves nothing,
+/// until it begins where the arm is.
 #[test]
 fn a_policy_that_comes_back_elsewhere_is_refused() {
     let _turn = alone();
@@ -465,7 +473,8 @@ fn a_policy_that_comes_back_elsewhere_is_refused() {
     );
 }
 
-/// An external policy that leaves may come back, and the arm goes on from where it is; without restarts the run ends.
+/// An external policy that leaves may come back, and the arm goes on from where it is; without
+/// restarts the run ends.
 #[test]
 fn an_external_policy_may_leave_and_come_back() {
     let _turn = alone();

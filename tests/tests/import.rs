@@ -1,5 +1,5 @@
-//! The binary on demonstrations of others, and in others' form: a dataset with the controller's own kinematics in it, or exit code 2 with
-//! the reason.
+//! The binary on demonstrations of others, and in others' form: a dataset with the controller's own
+//! kinematics in it, or exit code 2 with the reason.
 
 #![expect(
     clippy::unwrap_used,
@@ -147,7 +147,8 @@ fn record(dir: &Path) {
     writer.finish().unwrap();
 }
 
-/// What goes out in Open-H's form comes in again, with joints from the poses that are those of the controller's kinematics.
+/// What goes out in Open-H's form comes in again, with joints from the poses that are those of the
+/// controller's kinematics.
 #[test]
 fn open_h_goes_out_and_comes_in() {
     let folder = scratch("import-open-h");

@@ -1,4 +1,5 @@
-//! Lockstep is reproducible: one seed gives one command hash, in any process and any build; a log replays to the bit.
+//! Lockstep is reproducible: one seed gives one command hash, in any process and any build; a log
+//! replays to the bit.
 
 #![expect(
     clippy::unwrap_used,

@@ -1,4 +1,5 @@
-//! The tick takes no memory from the system allocator, whatever happens in it; nor does the CAN arm's cycle.
+//! The tick takes no memory from the system allocator, whatever happens in it; nor does the CAN
+//! arm's cycle.
 
 #[path = "no_alloc/can.rs"]
 mod can;
@@ -31,7 +32,8 @@ struct Event<'a> {
     off_rad: f64,
 }
 
-/// A controller, arms that are wherever they were told to be, and what the ticks asked of the allocator.
+/// A controller, arms that are wherever they were told to be, and what the ticks asked of the
+/// allocator.
 struct Rig<const ARMS: usize> {
     controller: Controller<ARMS>,
     arms: [ArmState; ARMS],
@@ -116,7 +118,8 @@ impl<const ARMS: usize> Rig<ARMS> {
         )
     }
 
-    /// Moves to and fro between two offsets; how many ticks solved the QP, and in how many it failed.
+    /// Moves to and fro between two offsets; how many ticks solved the QP, and in how many it
+    /// failed.
     fn oscillate(&mut self, offsets_m: [[f64; 3]; 2], rounds: u64) -> (u32, u32) {
         let (mut solved, mut failed) = (0, 0);
         for round in 0..rounds {

@@ -1,7 +1,8 @@
-//! Real-time runs: what they write replays and verifies, and whatever ends them, the arm ends at rest and nothing is left.
+//! Real-time runs: what they write replays and verifies, and whatever ends them, the arm ends at
+//! rest and nothing is left.
 //!
-//! Behaviour is checked here, never the clock: a busy machine makes these runs slower, not wrong. Runs of two arms are in a
-//! file of their own.
+//! Behaviour is checked here, never the clock: a busy machine makes these runs slower, not wrong.
+//! Runs of two arms are in a file of their own.
 #![expect(
     clippy::unwrap_used,
     reason = "in a test, a failure to set up is a failure"
@@ -47,7 +48,8 @@ impl Run {
         Self::start_task(test, "needle-lift", policy, seed)
     }
 
-    /// A run whose task is not done before something else ends it: the needle would have to be held up for so long.
+    /// A run whose task is not done before something else ends it: the needle would have to be held
+    /// up for so long.
     fn unfinished(test: &str, policy: &str) -> Self {
         let hold = ["--set", "scene.success.hold_s=10"];
         Self::start_with(test, "needle-lift", policy, 1, &hold)
@@ -149,7 +151,8 @@ fn until(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// What the transport keeps for these processes in shared memory and in its folders for nodes and topics.
+/// What the transport keeps for these processes in shared memory and in its folders for nodes and
+/// topics.
 fn shared_things(processes: &[u32]) -> Vec<PathBuf> {
     let folders = [
         "/dev/shm",
@@ -166,7 +169,8 @@ fn shared_things(processes: &[u32]) -> Vec<PathBuf> {
         .collect()
 }
 
-/// Names hold the ids of nodes, ports and services; a topic's own file is named after a hash and says whose run it is for.
+/// Names hold the ids of nodes, ports and services; a topic's own file is named after a hash and
+/// says whose run it is for.
 fn belongs(path: &Path, process: u32) -> bool {
     let name = path.file_name().unwrap().to_string_lossy();
     if name.ends_with(".service") {
@@ -309,7 +313,8 @@ fn a_simulated_run_keeps_its_log_unasked() {
     fs::remove_dir_all(folder).unwrap();
 }
 
-/// A run that insists on a core that is not there ends before it begins, and one that does not says what it went without.
+/// A run that insists on a core that is not there ends before it begins, and one that does not says
+/// what it went without.
 #[test]
 fn only_a_strict_run_ends_where_the_system_refuses() {
     let _turn = alone();
@@ -470,7 +475,8 @@ fn a_bad_checkpoint_is_refused_before_anything_starts() {
     assert!(!log.exists());
 }
 
-/// A run that is killed where nothing can be caught leaves its log up to the last moments: whoever looks for what happened finds it.
+/// A run that is killed where nothing can be caught leaves its log up to the last moments: whoever
+/// looks for what happened finds it.
 #[test]
 fn a_killed_run_leaves_a_log_that_can_be_read() {
     let _turn = alone();

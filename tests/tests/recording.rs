@@ -1,4 +1,5 @@
-//! A recording that is killed leaves every finished episode, and nothing that looks like one but isn't; it can be resumed.
+//! A recording that is killed leaves every finished episode, and nothing that looks like one but
+//! isn't; it can be resumed.
 
 #![expect(
     clippy::unwrap_used,
@@ -124,7 +125,8 @@ fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// Records in `out` until it is killed, goes on until it is interrupted, and ends with one episode more: how many there are.
+/// Records in `out` until it is killed, goes on until it is interrupted, and ends with one episode
+/// more: how many there are.
 fn killed_interrupted_and_ended(folder: &Path, out: &Path) -> u64 {
     let mut record = recording(folder, out, 40, &["--depth"]).spawn().unwrap();
     wait_for(&mut record, out, 1);

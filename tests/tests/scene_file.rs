@@ -1,5 +1,5 @@
-//! A scene file of the user's own, from the command line to the result, the log and the pictures; and policies that do
-//! another task than the one of their demonstrations.
+//! A scene file of the user's own, from the command line to the result, the log and the pictures;
+//! and policies that do another task than the one of their demonstrations.
 
 #![expect(
     clippy::unwrap_used,
@@ -27,7 +27,8 @@ fn ends_with(code: i32, arguments: &[&str]) -> String {
     message
 }
 
-/// The shipped scene of `task` with each first line that begins with one of `changes` replaced, as a file in `folder`.
+/// The shipped scene of `task` with each first line that begins with one of `changes` replaced, as
+/// a file in `folder`.
 fn changed(task: &str, folder: &Path, changes: &[(&str, &str)]) -> PathBuf {
     let shipped = repository().join(format!("config/tasks/{task}/scene.toml"));
     let text = fs::read_to_string(shipped).unwrap();

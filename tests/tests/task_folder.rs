@@ -1,5 +1,5 @@
-//! A task that a lab adds by writing one folder: it runs, is evaluated, recorded, drawn and checked as the built-in ones are,
-//! under its own name; and what is no task is refused.
+//! A task that a lab adds by writing one folder: it runs, is evaluated, recorded, drawn and checked
+//! as the built-in ones are, under its own name; and what is no task is refused.
 
 #![expect(
     clippy::unwrap_used,
@@ -21,8 +21,8 @@ fn ends_with(code: i32, arguments: &[&str]) -> String {
     message
 }
 
-/// The folder `name` in `parent` with the files of the built-in needle lift, of whose lines that begin with one of `changes`
-/// the first is replaced.
+/// The folder `name` in `parent` with the files of the built-in needle lift, of whose lines that
+/// begin with one of `changes` the first is replaced.
 fn task(parent: &Path, name: &str, changes: &[(&str, &str)]) -> PathBuf {
     let (shipped, folder) = (
         repository().join("config/tasks/needle-lift"),
@@ -40,8 +40,9 @@ fn task(parent: &Path, name: &str, changes: &[(&str, &str)]) -> PathBuf {
     folder
 }
 
-/// Another needle than the lift's, which may lie anywhere in a smaller region and any way round within 0.6 rad, and must be
-/// lifted twice as high as in the built-in task and higher than its expert lifts.
+/// Another needle than the lift's, which may lie anywhere in a smaller region and any way round
+/// within 0.6 rad, and must be lifted twice as high as in the built-in task and higher than its
+/// expert lifts.
 const OTHER_LIFT: [(&str, &str); 8] = [
     ("order", "# no order"),
     ("arc_radius_m", "arc_radius_m = 0.0121"),

@@ -1,4 +1,5 @@
-//! A training in a process of its own that is interrupted keeps its state, and ends with the bytes of one that was not.
+//! A training in a process of its own that is interrupted keeps its state, and ends with the bytes
+//! of one that was not.
 
 #![expect(
     clippy::unwrap_used,

@@ -1,4 +1,5 @@
-//! Needles, views and cameras from the command line to the result, the log and the dataset; and the contact sheet.
+//! Needles, views and cameras from the command line to the result, the log and the dataset; and the
+//! contact sheet.
 
 #![expect(
     clippy::unwrap_used,

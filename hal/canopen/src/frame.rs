@@ -1,4 +1,5 @@
-//! A classical CAN data frame with an 11-bit identifier, the only kind that CANopen's default set uses.
+//! A classical CAN data frame with an 11-bit identifier, the only kind that CANopen's default set
+//! uses.
 
 use core::fmt;
 

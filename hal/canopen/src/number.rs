@@ -32,7 +32,8 @@ pub fn nanoseconds(seconds: f64) -> u64 {
     u64::try_from(whole(seconds * 1e9)).unwrap_or(0)
 }
 
-/// The whole turns a minute of a motor with `counts_per_turn` that are no slower than `counts_s` and at least one.
+/// The whole turns a minute of a motor with `counts_per_turn` that are no slower than `counts_s`
+/// and at least one.
 #[must_use]
 pub fn turns_a_minute(counts_s: u32, counts_per_turn: u32) -> i64 {
     let (counts_min, turn) = (u64::from(counts_s) * 60, u64::from(counts_per_turn).max(1));

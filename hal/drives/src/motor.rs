@@ -31,9 +31,11 @@ impl Motor for IdealMotor {
     }
 }
 
-/// A motor that turns elsewhere, together with others: its demand waits here, and so does its feedback.
+/// A motor that turns elsewhere, together with others: its demand waits here, and so does its
+/// feedback.
 ///
-/// Seven drives of one arm turn one plant: the owner of that plant reads the demands, moves it, and leaves the feedback.
+/// Seven drives of one arm turn one plant: the owner of that plant reads the demands, moves it, and
+/// leaves the feedback.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Terminal {
     /// The newest demand.

@@ -68,7 +68,8 @@ impl<M> core::fmt::Debug for Network<M> {
 
 /// Up to three buses, their drives, and the ends of each that masters have.
 ///
-/// There is one master, for whom this is a [`Bus`](trocar_canopen::master::Bus); others can be added. They receive each other's frames, as on any bus.
+/// There is one master, for whom this is a [`Bus`](trocar_canopen::master::Bus); others can be
+/// added. They receive each other's frames, as on any bus.
 pub struct Network<M> {
     now: TimeNs,
     next_step: TimeNs,
@@ -79,7 +80,8 @@ pub struct Network<M> {
 }
 
 impl<M: Motor> Network<M> {
-    /// `lines` buses at `bit_rate`, without drives; the master's queues hold `master_queue` frames each.
+    /// `lines` buses at `bit_rate`, without drives; the master's queues hold `master_queue` frames
+    /// each.
     #[must_use]
     pub fn new(lines: u8, bit_rate: u32, master_queue: usize) -> Self {
         let lines = (0..lines)
@@ -211,7 +213,8 @@ impl<M: Motor> Network<M> {
         }
     }
 
-    /// A node that is neither a drive nor a master of ours sends `frame` on `line`; tells whether it found room.
+    /// A node that is neither a drive nor a master of ours sends `frame` on `line`; tells whether
+    /// it found room.
     pub fn intrude(&mut self, line: u8, frame: Frame) -> bool {
         let now = self.now;
         let line = &mut self.lines[usize::from(line)];

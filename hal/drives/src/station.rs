@@ -8,9 +8,10 @@ use trocar_canopen::master::{Bus, Received};
 
 /// A network of drives whose master is somewhere outside, on `B`.
 ///
-/// A frame from outside takes the time of its bits on the emulated wire, against the drives' own frames, before the drives
-/// hear it; what a drive says leaves when its last bit is sent there. So a plan that is too much for the bit rate fails
-/// here although the real bus between the processes, a virtual one perhaps, has no bit rate at all.
+/// A frame from outside takes the time of its bits on the emulated wire, against the drives' own
+/// frames, before the drives hear it; what a drive says leaves when its last bit is sent there. So
+/// a plan that is too much for the bit rate fails here although the real bus between the processes,
+/// a virtual one perhaps, has no bit rate at all.
 #[derive(Debug)]
 pub struct Station<M, B> {
     network: Network<M>,
@@ -33,8 +34,8 @@ impl<M: Motor, B: Bus> Station<M, B> {
         }
     }
 
-    /// Takes what has come, lets the drives live until now, and sends what they have said. Call it a few times in a
-    /// cycle of the master; gives the time.
+    /// Takes what has come, lets the drives live until now, and sends what they have said. Call it
+    /// a few times in a cycle of the master; gives the time.
     pub fn turn(&mut self) -> TimeNs {
         let now = self.bus.now();
         self.take();
@@ -43,9 +44,9 @@ impl<M: Motor, B: Bus> Station<M, B> {
         now
     }
 
-    /// The same for drives that have a time of their own and a world that moves with them. They live until `until`; `act` is
-    /// called at every whole multiple of `step_ns` that passes, when they have lived until then. What has come is put on the
-    /// wire at `until`.
+    /// The same for drives that have a time of their own and a world that moves with them. They
+    /// live until `until`; `act` is called at every whole multiple of `step_ns` that passes, when
+    /// they have lived until then. What has come is put on the wire at `until`.
     pub fn turn_until(
         &mut self,
         until: TimeNs,

@@ -69,7 +69,8 @@ fn traffic(kinds: &[(u32, u8)]) -> Plan {
     }
 }
 
-/// Name, frames as count and bytes, bits without and with stuffing, whether 500 Hz and 1 kHz can be had.
+/// Name, frames as count and bytes, bits without and with stuffing, whether 500 Hz and 1 kHz can be
+/// had.
 type Row = (&'static str, &'static [(u32, u8)], (u64, u64), bool, bool);
 
 /// The reference's table 2.10.
@@ -131,7 +132,8 @@ fn plans_cost_what_the_table_says() {
     }
 }
 
-/// The shares of the bus that the table gives for 250 Hz, 500 Hz and 1 kHz, without and with stuffing, %.
+/// The shares of the bus that the table gives for 250 Hz, 500 Hz and 1 kHz, without and with
+/// stuffing, %.
 #[test]
 fn plans_take_the_share_that_the_table_says() {
     let rows = [

@@ -130,7 +130,8 @@ impl Wire {
         Ok(())
     }
 
-    /// The next frame that arrives by `until`. Frames sent because of a delivery must be queued before the next call.
+    /// The next frame that arrives by `until`. Frames sent because of a delivery must be queued
+    /// before the next call.
     pub fn next(&mut self, until: TimeNs) -> Option<Delivery> {
         let sending = match self.sending {
             Some(sending) => sending,
@@ -179,8 +180,8 @@ impl Wire {
         })
     }
 
-    /// When the last frame that now waits at any port but `except` will have been sent, if no other comes; none if there is
-    /// none.
+    /// When the last frame that now waits at any port but `except` will have been sent, if no other
+    /// comes; none if there is none.
     #[must_use]
     pub fn silent_at(&self, except: usize) -> Option<TimeNs> {
         let others = self.ports.iter().enumerate();

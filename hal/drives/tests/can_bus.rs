@@ -1,6 +1,7 @@
 //! The master and the emulated drives on a real bus: the kernel's sockets between two threads.
 //!
-//! `make test-can` runs these where the interfaces are, which is why a plain `cargo test` leaves them out.
+//! `make test-can` runs these where the interfaces are, which is why a plain `cargo test` leaves
+//! them out.
 #![expect(
     clippy::unwrap_used,
     reason = "in a test, a failure to set up is a failure"
@@ -166,8 +167,8 @@ fn node(axis: u8) -> NodeId {
     NodeId::new(axis + 1).unwrap()
 }
 
-/// Seven axes of drives that say they are `identity`, on a slow SYNC: python, and every system call inside user-mode
-/// Linux, take their time. Our own drives interpolate for 20 ms at most.
+/// Seven axes of drives that say they are `identity`, on a slow SYNC: python, and every system call
+/// inside user-mode Linux, take their time. Our own drives interpolate for 20 ms at most.
 fn plan(identity: (u32, u32), cycle_ms: u64) -> ArmPlan {
     ArmPlan {
         lines: 1,
@@ -280,7 +281,8 @@ fn emulate(bus: SocketBus<Real>, arms: &[u8], stop: &AtomicBool) -> [f64; 7] {
     })
 }
 
-/// Brings the drives up and moves all axes from 0 to 0.12; gives the arm, the time, and where axis 3 is measured.
+/// Brings the drives up and moves all axes from 0 to 0.12; gives the arm, the time, and where axis
+/// 3 is measured.
 fn lead(identity: (u32, u32), cycle_ms: u64) -> (CanArm<SocketBus<Real>>, TimeNs, f64) {
     let plan = plan(identity, cycle_ms);
     let scanned = Offline::new(socket("vcan0"), &plan)
@@ -384,7 +386,8 @@ fn python_master_commands_our_drives_by_their_eds() {
         .arg("--eds")
         .arg(file("config/eds/trocar_drive.eds"))
         .args(["--nodes", "1,2,7", "--period", "0.02"])
-        // A set-point takes effect at the next SYNC and is reached a period later, so the drive is between two of the last.
+        // A set-point takes effect at the next SYNC and is reached a period later, so the drive is
+        // between two of the last.
         .args(["--tolerance", "300"])
         .output()
         .unwrap();

@@ -1,11 +1,12 @@
-//! Arbitrary frames, and the trouble that buses make, against a whole arm with its drives and against a single drive: no panic,
-//! no memory without bound and none at all in the master's cycle, no axis outside its range or faster than its drive may be,
-//! no set-point outside the plan, and nobody who enables himself again; no measurement that is more than three cycles older than
-//! it is told to be, no SYNC but in its time or counted as left out, and no motion after a fault.
+//! Arbitrary frames, and the trouble that buses make, against a whole arm with its drives and
+//! against a single drive: no panic, no memory without bound and none at all in the master's cycle,
+//! no axis outside its range or faster than its drive may be, no set-point outside the plan, and
+//! nobody who enables himself again; no measurement that is more than three cycles older than it is
+//! told to be, no SYNC but in its time or counted as left out, and no motion after a fault.
 //!
-//! What fails is made small, printed, and kept in `can_fuzz/seeds-*.txt`, which every later run begins with. `make fuzz-can`
-//! throws ten million frames at each and says what came of them; `TROCAR_FUZZ_FRAMES` sets another number and
-//! `TROCAR_FUZZ_SEED` another beginning.
+//! What fails is made small, printed, and kept in `can_fuzz/seeds-*.txt`, which every later run
+//! begins with. `make fuzz-can` throws ten million frames at each and says what came of them;
+//! `TROCAR_FUZZ_FRAMES` sets another number and `TROCAR_FUZZ_SEED` another beginning.
 #![expect(
     clippy::unwrap_used,
     reason = "in a test, a failure to set up is a failure"

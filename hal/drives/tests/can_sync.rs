@@ -1,4 +1,5 @@
-//! A master whose thread was kept from running: one SYNC a cycle, and none for the cycles that were missed.
+//! A master whose thread was kept from running: one SYNC a cycle, and none for the cycles that were
+//! missed.
 #![expect(
     clippy::unwrap_used,
     reason = "in a test, a failure to set up is a failure"

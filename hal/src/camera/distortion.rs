@@ -3,9 +3,10 @@
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
-/// Lens distortion after Brown and Conrady: OpenCV's and ROS' first four coefficients, without units. A ray through `x`, `y`, 1
-/// falls where a pinhole has the one through `x (1 + k1 r^2 + k2 r^4) + 2 p1 x y + p2 (r^2 + 2 x^2)` and
-/// `y (1 + k1 r^2 + k2 r^4) + p1 (r^2 + 2 y^2) + 2 p2 x y`, with `r^2 = x^2 + y^2`.
+/// Lens distortion after Brown and Conrady: OpenCV's and ROS' first four coefficients, without
+/// units. A ray through `x`, `y`, 1 falls where a pinhole has the one through `x (1 + k1 r^2 + k2
+/// r^4) + 2 p1 x y + p2 (r^2 + 2 x^2)` and `y (1 + k1 r^2 + k2 r^4) + p1 (r^2 + 2 y^2) + 2 p2 x y`,
+/// with `r^2 = x^2 + y^2`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
 #[type_name("trocar/distortion/1")]
@@ -56,7 +57,8 @@ impl Distortion {
         *self == Self::NONE
     }
 
-    /// Where the ray through `x`, `y`, 1 falls, in units of the focal length from the principal point.
+    /// Where the ray through `x`, `y`, 1 falls, in units of the focal length from the principal
+    /// point.
     #[must_use]
     pub fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let Self { k1, k2, p1, p2 } = *self;
@@ -90,8 +92,8 @@ impl Distortion {
         None
     }
 
-    /// Whether rays between the axis and `ray` fall in the order in which they come: beyond where they don't, the picture
-    /// would show things twice.
+    /// Whether rays between the axis and `ray` fall in the order in which they come: beyond where
+    /// they don't, the picture would show things twice.
     #[must_use]
     pub fn keeps_order(&self, [x, y]: [f64; 2]) -> bool {
         let places = (0..=PLACES).map(|place| f64::from(place) / f64::from(PLACES));

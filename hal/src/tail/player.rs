@@ -5,7 +5,8 @@ use crate::{ArmCommand, TimeNs};
 
 /// Plays the tail for a backend whose controller sends no more commands.
 ///
-/// The backend asks once a period what to do. It reads no clock: a period without a new command is a period of the stop.
+/// The backend asks once a period what to do. It reads no clock: a period without a new command is
+/// a period of the stop.
 #[derive(Clone, Copy, Debug)]
 pub struct TailPlayer {
     period_ns: u64,
@@ -16,7 +17,8 @@ pub struct TailPlayer {
 }
 
 impl TailPlayer {
-    /// A player for a backend that moves on every `period_ns`. It plays nothing before the first command.
+    /// A player for a backend that moves on every `period_ns`. It plays nothing before the first
+    /// command.
     #[must_use]
     pub const fn new(period_ns: u64) -> Self {
         Self {
@@ -34,8 +36,9 @@ impl TailPlayer {
         self.written = true;
     }
 
-    /// What replaces the setpoint in the period that begins: nothing if the controller has given one since the last call
-    /// or never gave one, otherwise the tail's next point, which at its end is the arm at rest.
+    /// What replaces the setpoint in the period that begins: nothing if the controller has given
+    /// one since the last call or never gave one, otherwise the tail's next point, which at its end
+    /// is the arm at rest.
     pub fn next_period(&mut self) -> Option<ArmCommand> {
         let tail = self.newest.as_ref()?;
         if core::mem::take(&mut self.written) {

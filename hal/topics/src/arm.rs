@@ -1,4 +1,5 @@
-//! An arm in another process: what it measures, and what it is to do. A thousand times a second, so apart from the topics of the run, under
+//! An arm in another process: what it measures, and what it is to do. A thousand times a second, so
+//! apart from the topics of the run, under
 //! [`arms_of`]: whoever waits for a frame is not woken by each of them.
 //!
 //! ```text
@@ -6,8 +7,9 @@
 //!                    <── setpoint ──
 //! ```
 //!
-//! An arm publishes feedback all the time, each period of its own, whether anyone commands it or not. A set-point comes with the rest of the
-//! stop that follows it ([`hal::SafeTail`]): an arm that gets no further one plays that to rest, and holds.
+//! An arm publishes feedback all the time, each period of its own, whether anyone commands it or
+//! not. A set-point comes with the rest of the stop that follows it ([`hal::SafeTail`]): an arm
+//! that gets no further one plays that to rest, and holds.
 
 use iceoryx2::prelude::ZeroCopySend;
 
@@ -164,13 +166,15 @@ pub struct ArmSetpoint {
     pub stop: [AxisStop; TAIL_AXES],
 }
 
-/// A set-point that is older than this is of no controller that still lives, ns: the arm that has it plays the stop of the one before.
+/// A set-point that is older than this is of no controller that still lives, ns: the arm that has
+/// it plays the stop of the one before.
 pub const SETPOINT_AGE_NS_MAX: u64 = 100_000_000;
 
 impl Message for ArmSetpoint {
     const TOPIC: &'static str = "setpoint";
 
-    // An arm that makes up for periods that it was late for finds the set-points of then, as long as a controller waits for its measurements.
+    // An arm that makes up for periods that it was late for finds the set-points of then, as long
+    // as a controller waits for its measurements.
     const UNREAD: usize = 64;
 }
 
@@ -222,7 +226,8 @@ impl ArmSetpoint {
 mod tests {
     use super::*;
 
-    /// What comes out on the other side is what went in: bits of the command and of its stop, and a failed drive by its axis.
+    /// What comes out on the other side is what went in: bits of the command and of its stop, and a
+    /// failed drive by its axis.
     #[test]
     fn messages_hold_commands_stops_and_states_bit_for_bit() {
         let number = |seed: usize| f64::from(u32::try_from(seed).unwrap()) * 0.1 - 0.7;

@@ -1,4 +1,5 @@
-//! Waking up: whoever publishes on a topic of a run tells those who wait for anything of it, so that they need not look again and again.
+//! Waking up: whoever publishes on a topic of a run tells those who wait for anything of it, so
+//! that they need not look again and again.
 
 use core::time::Duration;
 use std::sync::Arc;
@@ -42,10 +43,11 @@ impl Bell {
 pub struct Events(Listener<Service>);
 
 impl Events {
-    /// Waits until something is published, a signal comes or `at_most_ns` have passed; what came since the last call ends it at once.
+    /// Waits until something is published, a signal comes or `at_most_ns` have passed; what came
+    /// since the last call ends it at once.
     ///
-    /// There may be nothing new on the topics that one reads, and a peer that does not notify wakes no listener: look whenever this returns,
-    /// and let it return often enough.
+    /// There may be nothing new on the topics that one reads, and a peer that does not notify wakes
+    /// no listener: look whenever this returns, and let it return often enough.
     pub fn wait(&self, at_most_ns: u64) {
         let _woken = self.0.timed_wait(|_| {}, Duration::from_nanos(at_most_ns));
     }

@@ -1,8 +1,10 @@
-//! What a session and an external policy tell each other, besides the reports, frames, chunks and status that a policy process has too.
+//! What a session and an external policy tell each other, besides the reports, frames, chunks and
+//! status that a policy process has too.
 //!
-//! The policy says hello, the session says who it is, and begins an episode with [`RunControl`](super::RunControl); the policy resets and
-//! says so with [`PolicyStatus`](super::PolicyStatus). Reports and frames of one instant are an observation, which it answers with a
-//! chunk for each arm, and then with a [`PolicyReply`].
+//! The policy says hello, the session says who it is, and begins an episode with
+//! [`RunControl`](super::RunControl); the policy resets and says so with
+//! [`PolicyStatus`](super::PolicyStatus). Reports and frames of one instant are an observation,
+//! which it answers with a chunk for each arm, and then with a [`PolicyReply`].
 
 use iceoryx2::prelude::ZeroCopySend;
 
@@ -65,7 +67,8 @@ pub struct SessionHello {
     pub frames_within_ns: u64,
     /// The task, empty if there is none.
     pub task: Line,
-    /// What is to be done, in words, for policies that read it: the task's name if nothing else was said.
+    /// What is to be done, in words, for policies that read it: the task's name if nothing else was
+    /// said.
     pub instruction: Line,
 }
 

@@ -1,7 +1,7 @@
 //! Camera frames through shared memory: the renderer fills the buffer that the policy reads.
 //!
-//! A frame is one slice of 32-bit words: depth, one word a pixel; then colour, 3 bytes a pixel; then instance ids, one
-//! byte a pixel. What describes it travels in the sample's header.
+//! A frame is one slice of 32-bit words: depth, one word a pixel; then colour, 3 bytes a pixel;
+//! then instance ids, one byte a pixel. What describes it travels in the sample's header.
 
 use core::fmt;
 use std::sync::Arc;
@@ -29,7 +29,8 @@ const WORDS_PER_PIXEL: usize = 2;
 #[repr(C)]
 #[type_name("trocar/frame_header/2")]
 pub struct FrameHeader {
-    /// When it was exposed, by the system's `CLOCK_MONOTONIC`, ns, which all processes of a machine share (slowed down alike in slow motion).
+    /// When it was exposed, by the system's `CLOCK_MONOTONIC`, ns, which all processes of a machine
+    /// share (slowed down alike in slow motion).
     pub stamp: TimeNs,
     /// Count of frames from this camera.
     pub sequence: u64,
@@ -125,9 +126,11 @@ pub struct FramePublisher {
 }
 
 impl FramePublisher {
-    /// Publishes one frame that `fill` writes in place: colour (3 bytes a pixel), depth (m), instance ids.
+    /// Publishes one frame that `fill` writes in place: colour (3 bytes a pixel), depth (m),
+    /// instance ids.
     ///
-    /// The buffers hold an older frame when `fill` gets them, so it writes every pixel. The number of readers reached.
+    /// The buffers hold an older frame when `fill` gets them, so it writes every pixel. The number
+    /// of readers reached.
     ///
     /// # Errors
     /// [`TopicError::FrameTooLarge`], [`TopicError::Transport`].
@@ -145,7 +148,8 @@ impl FramePublisher {
     /// Publishes a copy of `frame`; for those who have one already.
     ///
     /// # Errors
-    /// [`TopicError::FrameShape`] if its planes do not fit its intrinsics, and as [`Self::publish_with`].
+    /// [`TopicError::FrameShape`] if its planes do not fit its intrinsics, and as
+    /// [`Self::publish_with`].
     pub fn publish(&mut self, frame: &CameraFrame) -> Result<usize, TopicError> {
         let pixels = frame.intrinsics.pixel_count();
         let planes = [
@@ -201,8 +205,9 @@ impl FramePublisher {
             unsafe_code,
             reason = "clearing 2 MiB that the renderer overwrites would cost more than the hand-over"
         )]
-        // SAFETY: the words lie in a shared memory file that the kernel, and the transport once more, filled with zeros
-        // when it was made; since then only frames were written. Every bit pattern is an f32.
+        // SAFETY: the words lie in a shared memory file that the kernel, and the transport once
+        // more, filled with zeros when it was made; since then only frames were written. Every bit
+        // pattern is an f32.
         let sample = unsafe { sample.assume_init() };
         Ok(FrameLoan {
             sample,
@@ -233,7 +238,8 @@ pub struct FrameLoan {
 }
 
 impl FrameLoan {
-    /// Colour (3 bytes a pixel), depth (m) and instance ids, row-major from the top left; an older frame until written.
+    /// Colour (3 bytes a pixel), depth (m) and instance ids, row-major from the top left; an older
+    /// frame until written.
     pub fn planes(&mut self) -> (&mut [u8], &mut [f32], &mut [u8]) {
         let (depth_m, rest) = self.sample.payload_mut().split_at_mut(self.pixels);
         let (colour, instance) = bytemuck::cast_slice_mut(rest).split_at_mut(3 * self.pixels);
@@ -264,8 +270,8 @@ impl FrameSubscriber {
     /// The newest frame, if one has come since the last call. One earlier view may still be held.
     ///
     /// # Errors
-    /// [`TopicError::FrameShape`] for a frame that contradicts its header, [`TopicError::TooManyHeld`],
-    /// [`TopicError::Transport`].
+    /// [`TopicError::FrameShape`] for a frame that contradicts its header,
+    /// [`TopicError::TooManyHeld`], [`TopicError::Transport`].
     pub fn newest(&mut self) -> Result<Option<FrameView>, TopicError> {
         let mut newest = None;
         loop {
@@ -275,7 +281,8 @@ impl FrameSubscriber {
             {
                 break;
             }
-            // Given back before the next is taken: a publisher that was replaced may have left one more.
+            // Given back before the next is taken: a publisher that was replaced may have left one
+            // more.
             drop(newest.take());
             newest = self.raw.receive().map_err(|error| match error {
                 ReceiveError::ExceedsMaxBorrows => TopicError::TooManyHeld {
@@ -312,7 +319,8 @@ fn frame_shape(topic: &str, lens: &Intrinsics, words: usize) -> TopicError {
     }
 }
 
-/// A received frame, read where the writer put it. Its buffer is not reused before the view is dropped.
+/// A received frame, read where the writer put it. Its buffer is not reused before the view is
+/// dropped.
 pub struct FrameView {
     sample: Sample<Service, [f32], FrameHeader>,
     pixels: usize,

@@ -50,11 +50,13 @@ pub type RunControlTopic = Topic<RunControl>;
 /// The true state of a world in another process; one topic a world, under the first of its arms.
 pub type SceneTopic = Topic<SceneReport>;
 
-/// How the task of a world in another process stands; one topic a world, under the first of its arms.
+/// How the task of a world in another process stands; one topic a world, under the first of its
+/// arms.
 pub type TaskTopic = Topic<TaskReport>;
 
-/// Where everything in a simulated scene is, from whoever simulates it to whoever draws or shows it; one topic a run, under the first of its arms,
-/// and one under `console` for what only pages look at.
+/// Where everything in a simulated scene is, from whoever simulates it to whoever draws or shows
+/// it; one topic a run, under the first of its arms, and one under `console` for what only pages
+/// look at.
 pub type SnapshotTopic = Topic<SnapshotReport>;
 
 /// How the process that draws is doing; one topic a run, under the first of its arms.

@@ -23,6 +23,7 @@ pub(super) const fn buffers(unread: usize) -> usize {
 
 /// Processes, and threads with a membership of their own, of a run.
 pub(super) const NODES_MAX: usize = 16;
-/// While a peer creates or removes the same service, opening is tried again this often, a retry pause apart.
+/// While a peer creates or removes the same service, opening is tried again this often, a retry
+/// pause apart.
 pub(super) const OPEN_TRIES: usize = 200;
 pub(super) const RETRY_PAUSE: Duration = Duration::from_millis(5);

@@ -38,7 +38,8 @@ pub struct ArmReport {
 impl Message for ArmReport {
     const TOPIC: &'static str = "state";
 
-    // A frame takes time to be drawn or sent: a reader finds the arms of its instant although they have been measured again since.
+    // A frame takes time to be drawn or sent: a reader finds the arms of its instant although they
+    // have been measured again since.
     const UNREAD: usize = 16;
 }
 
@@ -142,7 +143,8 @@ impl RunControl {
         }
     }
 
-    /// What is wanted; `None` for a code from another world, which is best treated as [`RunCommand::Stop`].
+    /// What is wanted; `None` for a code from another world, which is best treated as
+    /// [`RunCommand::Stop`].
     #[must_use]
     pub const fn command(&self) -> Option<RunCommand> {
         match self.code {

@@ -28,7 +28,8 @@ use super::{SHARED_MEMORY_DIR, SharedMemorySpace, TopicError, shm, unfinished};
 const NAME_MAX: usize = 100;
 const CLEANUP_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// One process's (or thread's) membership in a run. Topics are opened through it and outlive it if need be.
+/// One process's (or thread's) membership in a run. Topics are opened through it and outlive it if
+/// need be.
 #[derive(Debug)]
 pub struct TopicNode {
     node: Node<Service>,
@@ -39,8 +40,8 @@ pub struct TopicNode {
 impl TopicNode {
     /// Joins the run `run_id`; all processes of a run use the same one.
     ///
-    /// Removes what processes that died left in shared memory. Installs no signal handlers, and quietens the
-    /// transport's own log to errors.
+    /// Removes what processes that died left in shared memory. Installs no signal handlers, and
+    /// quietens the transport's own log to errors.
     ///
     /// # Errors
     /// [`TopicError::BadName`], [`TopicError::Transport`].
@@ -94,10 +95,12 @@ impl TopicNode {
         remove_dead(&self.node)
     }
 
-    /// Frees what `process` still holds, which is about to die or has just died; `false` if it lives longer than `within`.
+    /// Frees what `process` still holds, which is about to die or has just died; `false` if it
+    /// lives longer than `within`.
     ///
-    /// A process that is killed is no longer its children's parent some time before the last of its threads lets go of its
-    /// locks, by which the transport knows the living from the dead: one look at that moment finds no dead node.
+    /// A process that is killed is no longer its children's parent some time before the last of its
+    /// threads lets go of its locks, by which the transport knows the living from the dead: one
+    /// look at that moment finds no dead node.
     pub fn remove_dying(&self, process: u32, within: Duration) -> bool {
         let tries = within.as_millis() / RETRY_PAUSE.as_millis();
         for _ in 0..=tries {
@@ -142,7 +145,8 @@ impl TopicNode {
         Ok(format!("trocar/{}/{topic}", self.run_id))
     }
 
-    /// Opens or creates the service `name` with the quality of service that all topics share: readers keep the newest `unread` values.
+    /// Opens or creates the service `name` with the quality of service that all topics share:
+    /// readers keep the newest `unread` values.
     pub(super) fn open<P, H>(
         &self,
         name: &str,
@@ -278,7 +282,8 @@ fn transport_config(run_id: &str) -> Result<Config, TopicError> {
     Ok(config)
 }
 
-/// Frees what dead processes still hold, what the transport would pass over first; the number of them.
+/// Frees what dead processes still hold, what the transport would pass over first; the number of
+/// them.
 fn remove_dead(node: &Node<Service>) -> u64 {
     let global = &node.config().global;
     let folder = global.node_dir().to_string();

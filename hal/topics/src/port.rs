@@ -14,7 +14,8 @@ use super::limits::{LOANED_MAX, Service, UNREAD};
 use super::{TopicError, TopicNode};
 use hal::Chunk;
 
-/// A message that can lie in shared memory as it is: `repr(C)`, no pointers, every bit pattern a value.
+/// A message that can lie in shared memory as it is: `repr(C)`, no pointers, every bit pattern a
+/// value.
 pub trait Message: Copy + Debug + ZeroCopySend + 'static {
     /// Last part of the topic's name.
     const TOPIC: &'static str;
@@ -35,7 +36,8 @@ impl<M: Message> Topic<M> {
     /// The only writer of the topic of `arm` (`psm1`).
     ///
     /// # Errors
-    /// [`TopicError`]; in particular [`TopicError::AlreadyPublished`] while another writer is alive.
+    /// [`TopicError`]; in particular [`TopicError::AlreadyPublished`] while another writer is
+    /// alive.
     pub fn publisher(node: &TopicNode, arm: &str) -> Result<Publisher<M>, TopicError> {
         let topic = node.service_name(&format!("{arm}/{}", M::TOPIC))?;
         let service = node.open::<M, ()>(&topic, M::UNREAD)?;
@@ -71,7 +73,8 @@ pub struct Publisher<M: Message> {
 }
 
 impl<M: Message> Publisher<M> {
-    /// Publishes `message` and wakes who waits; never waits for readers. The number of readers that it reached.
+    /// Publishes `message` and wakes who waits; never waits for readers. The number of readers that
+    /// it reached.
     ///
     /// # Errors
     /// [`TopicError::Transport`].
@@ -83,7 +86,8 @@ impl<M: Message> Publisher<M> {
         Ok(reached)
     }
 
-    /// Hands the newest message to readers that have come since; call it now and then when there is nothing to say.
+    /// Hands the newest message to readers that have come since; call it now and then when there is
+    /// nothing to say.
     ///
     /// # Errors
     /// [`TopicError::Transport`].

@@ -1,7 +1,8 @@
-//! What a world in another process shows besides frames: the true state of its scene, and how the episode stands.
+//! What a world in another process shows besides frames: the true state of its scene, and how the
+//! episode stands.
 //!
-//! Drives on a bus stand for an arm, and their process for the world around it. A scripted expert looks at that world, and a
-//! run has to know how the task went.
+//! Drives on a bus stand for an arm, and their process for the world around it. A scripted expert
+//! looks at that world, and a run has to know how the task went.
 
 use iceoryx2::prelude::ZeroCopySend;
 
@@ -120,7 +121,8 @@ pub struct SceneTissue {
 pub enum Verdict {
     /// The arms' drives are not operational: the episode has not begun.
     Waiting,
-    /// Their drives are operational, in the sense of NMT, and not all enabled: the episode begins when they are.
+    /// Their drives are operational, in the sense of NMT, and not all enabled: the episode begins
+    /// when they are.
     Operational,
     /// Not decided yet.
     Running,
@@ -139,7 +141,8 @@ pub enum Verdict {
 pub struct SceneReport {
     /// When it was so, on the system's monotonic clock.
     pub stamp: TimeNs,
-    /// Counts the policy steps of the world; frames of the same instant have the same number and the same stamp.
+    /// Counts the policy steps of the world; frames of the same instant have the same number and
+    /// the same stamp.
     pub sequence: u64,
     /// The task.
     pub task: Line,

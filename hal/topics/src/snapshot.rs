@@ -1,7 +1,9 @@
-//! Where everything in a simulated scene is at one instant, for whoever draws it: Trocar's cameras or anyone's.
+//! Where everything in a simulated scene is at one instant, for whoever draws it: Trocar's cameras
+//! or anyone's.
 //!
-//! A run publishes a snapshot at each policy step that frames are wanted of, under the name of its first arm; a world in another process at each
-//! policy step. A camera draws it and publishes a frame with the snapshot's own stamp and number, which go with the arms' reports of that instant.
+//! A run publishes a snapshot at each policy step that frames are wanted of, under the name of its
+//! first arm; a world in another process at each policy step. A camera draws it and publishes a
+//! frame with the snapshot's own stamp and number, which go with the arms' reports of that instant.
 
 use iceoryx2::prelude::ZeroCopySend;
 
@@ -27,7 +29,8 @@ pub struct InstrumentParts {
     pub finger_left: PoseMessage,
     /// Like the left one with its body at y < 0.
     pub finger_right: PoseMessage,
-    /// The tip frame, which cameras on the instrument are mounted in: origin on the wrist-yaw axis, z along the closed fingers.
+    /// The tip frame, which cameras on the instrument are mounted in: origin on the wrist-yaw axis,
+    /// z along the closed fingers.
     pub tip: PoseMessage,
 }
 
@@ -66,8 +69,8 @@ pub struct SnapshotReport {
     pub scene_hash: u64,
     /// The seed of the episode.
     pub seed: u64,
-    /// The cameras that are wanted, a bit each by their place in the scene's configuration. Of policy steps all bits are set, and each camera
-    /// that is there shows them.
+    /// The cameras that are wanted, a bit each by their place in the scene's configuration. Of
+    /// policy steps all bits are set, and each camera that is there shows them.
     pub wanted: u64,
     /// Milliseconds since the episode began, which a sensor's noise and smoke are drawn from.
     pub moment_ms: u64,

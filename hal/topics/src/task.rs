@@ -1,4 +1,5 @@
-//! How the task of a world in another process stands: what its success asks for, in numbers, for those who look on.
+//! How the task of a world in another process stands: what its success asks for, in numbers, for
+//! those who look on.
 
 use iceoryx2::prelude::ZeroCopySend;
 

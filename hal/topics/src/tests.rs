@@ -279,7 +279,8 @@ fn arm_report_gives_back_state_and_tip_bit_for_bit() {
     assert!(report.state().velocity[2].is_sign_negative());
 }
 
-/// A reader that was busy finds the arm of the instant of a frame that took time; of a chunk it finds only the newest.
+/// A reader that was busy finds the arm of the instant of a frame that took time; of a chunk it
+/// finds only the newest.
 #[test]
 fn the_newest_reports_of_an_arm_are_kept_for_a_busy_reader() {
     let node = node("kept");
@@ -352,7 +353,8 @@ fn second_publisher_and_oversized_frame_are_refused() {
     ));
 }
 
-/// Cameras draw what the run has shown, those that come late the newest, and pages ask for theirs on a topic of their own.
+/// Cameras draw what the run has shown, those that come late the newest, and pages ask for theirs
+/// on a topic of their own.
 #[test]
 fn a_snapshot_arrives_whole() {
     let node = node("snapshot");
@@ -421,7 +423,8 @@ fn wait_for(out: &mut BufReader<std::process::ChildStdout>, text: &str) -> Strin
     line
 }
 
-/// For each line on standard input: reads the newest frame, and answers with a chunk that carries a sum of it.
+/// For each line on standard input: reads the newest frame, and answers with a chunk that carries a
+/// sum of it.
 #[test]
 fn plays_the_policy_process() {
     let Ok(run) = env::var(PEER_RUN) else {
@@ -487,7 +490,8 @@ fn processes_exchange_frames_and_a_killed_one_is_replaced() {
         "{taken}"
     );
 
-    // One that lives is waited for and then left alone; one that is killed is waited for until it has let go.
+    // One that lives is waited for and then left alone; one that is killed is waited for until it
+    // has let go.
     let moment = core::time::Duration::from_millis(20);
     assert!(!node.remove_dying(peer.id(), moment));
     peer.kill().unwrap();

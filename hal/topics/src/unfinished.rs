@@ -1,7 +1,8 @@
 //! What a process leaves that was killed while it registered a port or a service with its node.
 //!
-//! The transport writes a tag for each into the node's folder, and makes it read-only once it is complete. Its clean-up passes over one that is
-//! not, and then can't remove the folder: the dead node would stay for ever.
+//! The transport writes a tag for each into the node's folder, and makes it read-only once it is
+//! complete. Its clean-up passes over one that is not, and then can't remove the folder: the dead
+//! node would stay for ever.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
@@ -10,7 +11,8 @@ use std::path::Path;
 /// The owner may write: the transport has not finished the file.
 const OWNER_WRITES: u32 = 0o200;
 
-/// Removes the tags in `folder`, that of a dead node, that end with one of `suffixes` and were not finished.
+/// Removes the tags in `folder`, that of a dead node, that end with one of `suffixes` and were not
+/// finished.
 pub(super) fn remove_tags(folder: &Path, suffixes: &[String]) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name();

@@ -1,8 +1,10 @@
-//! Actions relative to the tip at the observation: what networks predict, against the absolute targets that chunks carry.
+//! Actions relative to the tip at the observation: what networks predict, against the absolute
+//! targets that chunks carry.
 //!
-//! Seven numbers an arm: translation from the measured tip in the RCM frame (m), rotation vector in the frame of the measured
-//! tip (rad), and the jaw angle as it is (rad). Absolute poses would carry the arm's calibration into the network. Of several
-//! arms, each is relative to its own tip in its own RCM frame, and a step has the arms' numbers one after another.
+//! Seven numbers an arm: translation from the measured tip in the RCM frame (m), rotation vector in
+//! the frame of the measured tip (rad), and the jaw angle as it is (rad). Absolute poses would
+//! carry the arm's calibration into the network. Of several arms, each is relative to its own tip
+//! in its own RCM frame, and a step has the arms' numbers one after another.
 
 use hal::{ArmObservation, Chunk, Observation, Pose, TipTarget};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -13,8 +15,9 @@ pub const REPRESENTATION: &str = "observation_relative";
 /// Numbers in the relative action of one arm.
 pub const RELATIVE_ACTION_DIM: usize = 7;
 
-/// Name of absolute actions in checkpoints: what a dataset's `action` holds, so what a policy predicts that LeRobot trained
-/// on one. Eight numbers an arm: position in the RCM frame (m), quaternion x, y, z, w (any length), jaw (rad).
+/// Name of absolute actions in checkpoints: what a dataset's `action` holds, so what a policy
+/// predicts that LeRobot trained on one. Eight numbers an arm: position in the RCM frame (m),
+/// quaternion x, y, z, w (any length), jaw (rad).
 pub const ABSOLUTE_REPRESENTATION: &str = "absolute_pose";
 
 /// Numbers in the absolute action of one arm.
@@ -70,7 +73,8 @@ pub fn absolute_target(tip_in_rcm: &Pose, action: &[f64; RELATIVE_ACTION_DIM]) -
     )
 }
 
-/// The chunks that relative `actions` mean, one for each arm of `observation`: row-major, a step's arms one after another.
+/// The chunks that relative `actions` mean, one for each arm of `observation`: row-major, a step's
+/// arms one after another.
 #[must_use]
 pub fn absolute_chunks(
     observation: &Observation<'_>,
@@ -83,7 +87,8 @@ pub fn absolute_chunks(
     })
 }
 
-/// The chunks that `actions` in `representation` mean; those of an unknown one are taken for relative.
+/// The chunks that `actions` in `representation` mean; those of an unknown one are taken for
+/// relative.
 ///
 /// A quaternion of no length makes a target with NaN in it, which the controller refuses.
 #[must_use]

@@ -1,4 +1,5 @@
-//! A trained ACT-PC network as a policy: what depth cameras see and arm states in, a chunk for each arm out.
+//! A trained ACT-PC network as a policy: what depth cameras see and arm states in, a chunk for each
+//! arm out.
 
 use std::path::Path;
 
@@ -26,7 +27,8 @@ pub struct ActPcPolicy {
 }
 
 impl ActPcPolicy {
-    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the
+    /// whole process.
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and what is wrong with it.

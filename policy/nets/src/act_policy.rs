@@ -1,4 +1,5 @@
-//! A trained ACT network as a policy: frames and arm states in, a chunk of absolute tip targets for each arm out.
+//! A trained ACT network as a policy: frames and arm states in, a chunk of absolute tip targets for
+//! each arm out.
 
 use std::path::Path;
 
@@ -31,11 +32,12 @@ pub struct ActPolicy {
 }
 
 impl ActPolicy {
-    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the
+    /// whole process.
     ///
     /// # Errors
-    /// [`CheckpointError`] naming the file and what is wrong with it; a folder without `trocar.json` is refused, since
-    /// nothing then says what the actions mean.
+    /// [`CheckpointError`] naming the file and what is wrong with it; a folder without
+    /// `trocar.json` is refused, since nothing then says what the actions mean.
     pub fn load(folder: &Path, compute: impl Into<Compute>) -> Result<Self, CheckpointError> {
         let compute = compute.into();
         let (device, kind) = (compute.device, compute.prepare(folder)?);
@@ -83,7 +85,8 @@ impl ActPolicy {
         &self.interface.recipe
     }
 
-    /// One inference on a black image, so that a network that cannot run fails now, and the first answer is not late.
+    /// One inference on a black image, so that a network that cannot run fails now, and the first
+    /// answer is not late.
     fn warm_up(&mut self) -> Result<(), TchError> {
         let config = &self.config;
         let cameras = dimension(self.interface.recipe.cameras.len());
@@ -93,7 +96,8 @@ impl ActPolicy {
         self.network(&images, &state).map(|_| ())
     }
 
-    /// Image bytes `(1, cameras, height, width, 3)` and the state in SI units to actions in SI units, row-major.
+    /// Image bytes `(1, cameras, height, width, 3)` and the state in SI units to actions in SI
+    /// units, row-major.
     fn network(&mut self, images: &Tensor, state: &Tensor) -> Result<Vec<f32>, TchError> {
         tch::no_grad(|| {
             let images = self.images.apply(images)?;
@@ -103,7 +107,8 @@ impl ActPolicy {
         })
     }
 
-    /// The frames, of the recipe's sizes, as one tensor of bytes `(1, cameras, height, width, 3)` at the network's size.
+    /// The frames, of the recipe's sizes, as one tensor of bytes `(1, cameras, height, width, 3)`
+    /// at the network's size.
     fn image_bytes(&self, frames: &[FrameRef<'_>]) -> Result<Tensor, PolicyError> {
         let mut bytes = Vec::new();
         for (camera, (frame, factor)) in frames.iter().zip(&self.image_factors).enumerate() {

@@ -1,5 +1,5 @@
-//! What libtorch has and tch does not pass on, called by its name: work on many tensors as one piece, and the gradients of
-//! convolutions. Training steps are made of it.
+//! What libtorch has and tch does not pass on, called by its name: work on many tensors as one
+//! piece, and the gradients of convolutions. Training steps are made of it.
 
 #![expect(unsafe_code, reason = "libtorch's calls by name are functions of C")]
 
@@ -10,7 +10,8 @@ use std::ptr::with_exposed_provenance_mut;
 use hal::count;
 use tch::{TchError, Tensor};
 
-/// What the functions of libtorch's `torch/csrc/stable/c/shim.h` pass: a number, or a handle that changes hands.
+/// What the functions of libtorch's `torch/csrc/stable/c/shim.h` pass: a number, or a handle that
+/// changes hands.
 type Value = u64;
 
 /// `TORCH_VERSION` 2.11 as that file writes it: the meaning of the values is that version's.
@@ -55,7 +56,8 @@ pub struct Moved<'a> {
 }
 
 impl AdamW {
-    /// One step; `step`, from 1, and the learning rate `lr` are tensors of one number in single precision where the others are.
+    /// One step; `step`, from 1, and the learning rate `lr` are tensors of one number in single
+    /// precision where the others are.
     ///
     /// # Errors
     /// The network library's.
@@ -83,7 +85,8 @@ impl AdamW {
     }
 }
 
-/// Copies each of `from` to its one of `to`, as many, of the same shape and strides; their kinds may differ.
+/// Copies each of `from` to its one of `to`, as many, of the same shape and strides; their kinds
+/// may differ.
 ///
 /// # Errors
 /// The network library's.
@@ -96,7 +99,8 @@ pub fn copy_all(to: &[Tensor], from: &[Tensor]) -> Result<(), TchError> {
     call(c"aten::_foreach_copy_", c"", &mut stack)
 }
 
-/// The gradients of a convolution's input (none unless `of_input`) and of its `weight`, given that of its answer. No bias.
+/// The gradients of a convolution's input (none unless `of_input`) and of its `weight`, given that
+/// of its answer. No bias.
 pub(crate) fn convolution_backward(
     gradient: &Tensor,
     input: &Tensor,
@@ -120,7 +124,8 @@ pub(crate) fn convolution_backward(
     ];
     call(c"aten::convolution_backward", c"", &mut stack)?;
     let [of_input, of_weight, of_bias, ..] = stack.map(count::index);
-    // SAFETY: the operator answers with three tensors, whose handles are ours from here; the last one is undefined.
+    // SAFETY: the operator answers with three tensors, whose handles are ours from here; the last
+    // one is undefined.
     drop(unsafe { Tensor::from_ptr(with_exposed_provenance_mut(of_bias)) });
     // SAFETY: as above.
     let of_input = unsafe { Tensor::from_ptr(with_exposed_provenance_mut(of_input)) };
@@ -157,7 +162,8 @@ fn list(of: impl IntoIterator<Item = Value>) -> Result<Value, TchError> {
 /// Calls `operator`; its answers take the places of what it was given.
 fn call(operator: &CStr, overload: &CStr, stack: &mut [Value]) -> Result<(), TchError> {
     let (name, overload) = (operator.as_ptr(), overload.as_ptr());
-    // SAFETY: names are C strings, and the values are those of the operator's schema: libtorch 2.11 takes them.
+    // SAFETY: names are C strings, and the values are those of the operator's schema: libtorch 2.11
+    // takes them.
     let code = unsafe { torch_call_dispatcher(name, overload, stack.as_mut_ptr(), WRITTEN_FOR) };
     checked(operator, code)
 }

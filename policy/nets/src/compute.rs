@@ -12,9 +12,10 @@ pub enum Arithmetic {
     /// Single precision, as it was trained.
     #[default]
     F32,
-    /// Weights and most activations with 8 significant bits: less to read, and answers that differ from those in single
-    /// precision. On CUDA only: a CPU's library picks its instructions by what the processor claims to have, and where a
-    /// virtual machine does not let them through, the process ends.
+    /// Weights and most activations with 8 significant bits: less to read, and answers that differ
+    /// from those in single precision. On CUDA only: a CPU's library picks its instructions by what
+    /// the processor claims to have, and where a virtual machine does not let them through, the
+    /// process ends.
     Bf16,
 }
 
@@ -25,7 +26,8 @@ pub struct Compute {
     pub device: Device,
     /// In which numbers.
     pub arithmetic: Arithmetic,
-    /// Threads of the network library on the CPU. With another number the same observation may give other bits.
+    /// Threads of the network library on the CPU. With another number the same observation may give
+    /// other bits.
     pub threads: usize,
 }
 
@@ -41,7 +43,8 @@ impl From<Device> for Compute {
 }
 
 impl Compute {
-    /// Sets the network library's threads, for the whole process, and says the kind of number for the policy in `folder`.
+    /// Sets the network library's threads, for the whole process, and says the kind of number for
+    /// the policy in `folder`.
     pub(crate) fn prepare(self, folder: &Path) -> Result<Kind, CheckpointError> {
         tch::set_num_threads(i32::try_from(self.threads.max(1)).unwrap_or(i32::MAX));
         match self.arithmetic {

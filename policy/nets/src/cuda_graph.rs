@@ -1,7 +1,9 @@
-//! CUDA graphs of networks and of training steps: captured once, replayed at each further inference or step.
+//! CUDA graphs of networks and of training steps: captured once, replayed at each further inference
+//! or step.
 //!
-//! Launching hundreds of small kernels one by one takes longer than running them. A graph is launched with one call and computes
-//! the same: the same kernels on the same device. A training step is captured after a few that run eagerly.
+//! Launching hundreds of small kernels one by one takes longer than running them. A graph is
+//! launched with one call and computes the same: the same kernels on the same device. A training
+//! step is captured after a few that run eagerly.
 
 mod aside;
 mod functions;
@@ -38,10 +40,11 @@ pub struct CapturedGraph {
 }
 
 impl NetworkGraph {
-    /// What `network` answers to `inputs`, all of which are on one device. On CUDA the answer is overwritten by the next one.
+    /// What `network` answers to `inputs`, all of which are on one device. On CUDA the answer is
+    /// overwritten by the next one.
     ///
-    /// `network` must do the same with the device for all inputs of these shapes, read nothing of them back, and keep what it
-    /// works in.
+    /// `network` must do the same with the device for all inputs of these shapes, read nothing of
+    /// them back, and keep what it works in.
     ///
     /// # Errors
     /// Those of `network`, and the network library's.
@@ -61,12 +64,14 @@ impl NetworkGraph {
     }
 }
 
-/// A capture to come on a CUDA device: what the libraries set up at first must be done while this lives.
+/// A capture to come on a CUDA device: what the libraries set up at first must be done while this
+/// lives.
 #[derive(Debug)]
 pub struct Capture(SideStream);
 
 impl Capture {
-    /// None if `device` is not the thread's current CUDA device, or the libraries here have no CUDA.
+    /// None if `device` is not the thread's current CUDA device, or the libraries here have no
+    /// CUDA.
     ///
     /// # Errors
     /// CUDA's.
@@ -80,8 +85,8 @@ impl Capture {
         Ok(SideStream::of(device)?.map(Self))
     }
 
-    /// Captures what `work` does with tensors like `inputs`; nothing of it runs yet. What else it reads and writes must stay
-    /// where it is as long as the graph lives.
+    /// Captures what `work` does with tensors like `inputs`; nothing of it runs yet. What else it
+    /// reads and writes must stay where it is as long as the graph lives.
     ///
     /// # Errors
     /// Why it can't be captured.
@@ -134,8 +139,8 @@ impl CapturedGraph {
         own.eq(inputs.iter().map(|input| form(input)))
     }
 
-    /// A copy of the output for `inputs`, which must be of the shapes that the graph was captured with; random numbers continue
-    /// from the state of the generator.
+    /// A copy of the output for `inputs`, which must be of the shapes that the graph was captured
+    /// with; random numbers continue from the state of the generator.
     ///
     /// # Errors
     /// The network library's: shapes do not fit, or the device fails.

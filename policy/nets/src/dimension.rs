@@ -1,4 +1,5 @@
-//! Dimensions of tensors, which libtorch counts in `i64`, as lengths and back. Out of range is a programming error, and asserted.
+//! Dimensions of tensors, which libtorch counts in `i64`, as lengths and back. Out of range is a
+//! programming error, and asserted.
 
 use tch::Tensor;
 

@@ -1,4 +1,5 @@
-//! A trained DP3 network as a policy: what depth cameras saw lately and arm states in, a chunk for each arm out.
+//! A trained DP3 network as a policy: what depth cameras saw lately and arm states in, a chunk for
+//! each arm out.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -15,8 +16,9 @@ use trocar_data::perception::{CloudRecipe, Point};
 
 /// A DP3 policy that was loaded from a folder.
 ///
-/// It sees as many observations as its configuration says, a step of its recipe apart, or as nearly as a run shows them; of one that
-/// is missing, the next newer one takes the place, as in training at the beginning of an episode.
+/// It sees as many observations as its configuration says, a step of its recipe apart, or as nearly
+/// as a run shows them; of one that is missing, the next newer one takes the place, as in training
+/// at the beginning of an episode.
 #[derive(Debug)]
 pub struct Dp3Policy {
     config: Dp3Config,
@@ -58,7 +60,8 @@ impl NetworkInput {
 }
 
 impl Dp3Policy {
-    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the
+    /// whole process.
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and what is wrong with it.
@@ -158,7 +161,8 @@ impl Dp3Policy {
         }
     }
 
-    /// The remembered observations nearest to the newest one's time and whole steps before, oldest first.
+    /// The remembered observations nearest to the newest one's time and whole steps before, oldest
+    /// first.
     fn history(&self) -> Vec<&ObservationStep> {
         let mut history = Vec::new();
         let Some(mut newest) = self.seen.back() else {

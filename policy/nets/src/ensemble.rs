@@ -1,9 +1,12 @@
-//! ACT's temporal ensembling as published: one answer a step, every answer's opinion on the present step blended.
+//! ACT's temporal ensembling as published: one answer a step, every answer's opinion on the present
+//! step blended.
 //!
-//! This counts steps and blends rows of numbers. The controller's own aggregation goes by due time, bears late and missing
-//! answers, and blends rotations on the sphere; on answers that come every step, on time, the two agree.
+//! This counts steps and blends rows of numbers. The controller's own aggregation goes by due time,
+//! bears late and missing answers, and blends rotations on the sphere; on answers that come every
+//! step, on time, the two agree.
 //!
-//! Source: reference note on policies, sections 2.8 and 3.5; checked against golden numbers in `tests/golden/`.
+//! Source: reference note on policies, sections 2.8 and 3.5; checked against golden numbers in
+//! `tests/golden/`.
 
 use std::collections::VecDeque;
 
@@ -27,7 +30,8 @@ pub struct ChunkShapeError {
     pub actual: usize,
 }
 
-/// Blends overlapping chunks: of the rows for one step, row i has the weight `exp(-decay * i)`, with i = 0 the oldest.
+/// Blends overlapping chunks: of the rows for one step, row i has the weight `exp(-decay * i)`,
+/// with i = 0 the oldest.
 #[derive(Clone, Debug)]
 pub struct TemporalEnsemble {
     decay: f64,
@@ -37,8 +41,8 @@ pub struct TemporalEnsemble {
 }
 
 impl TemporalEnsemble {
-    /// For chunks of `rows` actions of `width` numbers. A positive `decay` lets old answers weigh more, a negative one
-    /// new answers.
+    /// For chunks of `rows` actions of `width` numbers. A positive `decay` lets old answers weigh
+    /// more, a negative one new answers.
     #[must_use]
     pub const fn new(decay: f64, rows: usize, width: usize) -> Self {
         Self {
@@ -54,7 +58,8 @@ impl TemporalEnsemble {
         self.coming.clear();
     }
 
-    /// The action for the step at which `chunk` (rows of actions, the first for this step) was predicted.
+    /// The action for the step at which `chunk` (rows of actions, the first for this step) was
+    /// predicted.
     ///
     /// # Errors
     /// [`ChunkShapeError`] if the chunk has another size.

@@ -1,7 +1,8 @@
 //! The network library's random numbers, which belong to the whole process.
 //!
-//! The library knows no generator of one's own in the operations used here, so whoever draws seeds the process's and keeps
-//! everybody else from it: two trainings in one process draw what each would draw alone.
+//! The library knows no generator of one's own in the operations used here, so whoever draws seeds
+//! the process's and keeps everybody else from it: two trainings in one process draw what each
+//! would draw alone.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

@@ -17,7 +17,8 @@ pub enum ImageError {
     },
 }
 
-/// By what whole factor an image of `width` x `height` shrinks to the wanted size, the same in both directions.
+/// By what whole factor an image of `width` x `height` shrinks to the wanted size, the same in both
+/// directions.
 ///
 /// # Errors
 /// [`ImageError::NoMultiple`] if there is none.
@@ -42,7 +43,8 @@ pub const fn shrink_factor(
     })
 }
 
-/// `bytes` (3 a pixel, rows of `width` pixels) shrunk by `factor`: every block averaged and rounded to nearest.
+/// `bytes` (3 a pixel, rows of `width` pixels) shrunk by `factor`: every block averaged and rounded
+/// to nearest.
 #[must_use]
 pub fn area_average(bytes: &[u8], width: u32, factor: u32) -> Vec<u8> {
     if factor <= 1 {
@@ -85,7 +87,8 @@ mod tests {
 
     #[test]
     fn blocks_are_averaged_by_channel_and_rounded() {
-        // Two rows of four pixels; red counts up, green is even, blue is 255 in one pixel of the left block.
+        // Two rows of four pixels; red counts up, green is even, blue is 255 in one pixel of the
+        // left block.
         let rows = [
             [[0, 8, 255], [1, 8, 0], [2, 8, 0], [3, 8, 0]],
             [[4, 8, 0], [5, 8, 0], [6, 8, 0], [7, 8, 0]],

@@ -1,5 +1,5 @@
-//! What the policies of all networks share: on the way in an observation is checked against the checkpoint's recipe, on the way out actions
-//! become chunks.
+//! What the policies of all networks share: on the way in an observation is checked against the
+//! checkpoint's recipe, on the way out actions become chunks.
 
 use std::fmt::Display;
 
@@ -38,7 +38,8 @@ impl Interface {
         Ok(arms.flat_map(|arm| state_numbers(&arm.state)).collect())
     }
 
-    /// The chunks of all arms that `actions` mean, which a network predicted of `observation`, row-major, in SI units.
+    /// The chunks of all arms that `actions` mean, which a network predicted of `observation`,
+    /// row-major, in SI units.
     ///
     /// # Errors
     /// [`PolicyError::Inference`] if it failed, or a number is not finite.

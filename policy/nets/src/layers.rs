@@ -1,4 +1,5 @@
-//! Layers that networks share: linear, layer normalisation, attention, feed-forward. Batch first throughout.
+//! Layers that networks share: linear, layer normalisation, attention, feed-forward. Batch first
+//! throughout.
 
 pub(crate) mod affine;
 mod aligned;
@@ -132,7 +133,8 @@ impl Attention {
         })
     }
 
-    /// `(batch, queries, width)`; `allowed` is `(batch, 1, 1, keys)`, true where a key may be looked at.
+    /// `(batch, queries, width)`; `allowed` is `(batch, 1, 1, keys)`, true where a key may be
+    /// looked at.
     pub(crate) fn forward(
         &self,
         query: &Tensor,

@@ -53,7 +53,8 @@ impl PolicyOutline {
 }
 
 impl LoadedPolicy {
-    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the whole process.
+    /// Loads the policy in `folder` and runs it once. The threads of `compute` become those of the
+    /// whole process.
     ///
     /// # Errors
     /// [`CheckpointError`] naming the file and what is wrong with it.

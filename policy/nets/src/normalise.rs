@@ -8,14 +8,17 @@ pub const IMAGENET_MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 /// Standard deviation of ImageNet's red, green and blue, in 0 to 1.
 pub const IMAGENET_STD: [f32; 3] = [0.229, 0.224, 0.225];
 
-/// Least deviation of a length, m: a tenth of a millimetre, what the arm repeats to. The 1e-2 of the original ACT suits
-/// radians and metres of a whole arm; here, chunks of millimetres would vanish in it.
+/// Least deviation of a length, m: a tenth of a millimetre, what the arm repeats to. The 1e-2 of
+/// the original ACT suits radians and metres of a whole arm; here, chunks of millimetres would
+/// vanish in it.
 pub const LENGTH_STD_MIN_M: f64 = 1e-4;
 
-/// Least deviation of an angle, rad: a joint that demonstrations leave alone must not turn encoder noise into a signal.
+/// Least deviation of an angle, rad: a joint that demonstrations leave alone must not turn encoder
+/// noise into a signal.
 pub const ANGLE_STD_MIN_RAD: f64 = 5e-3;
 
-/// Least deviations of one arm's `observation.state`: yaw, pitch, insertion, roll, wrist pitch, wrist yaw, jaw.
+/// Least deviations of one arm's `observation.state`: yaw, pitch, insertion, roll, wrist pitch,
+/// wrist yaw, jaw.
 pub const STATE_STD_MIN: [f64; 7] = {
     let (length, angle) = (LENGTH_STD_MIN_M, ANGLE_STD_MIN_RAD);
     [angle, angle, length, angle, angle, angle, angle]
@@ -156,7 +159,8 @@ pub struct Normaliser {
 }
 
 impl Normaliser {
-    /// `(x - mean) / (std + 1e-8)`, as LeRobot's processor does, which has no such term on the way back.
+    /// `(x - mean) / (std + 1e-8)`, as LeRobot's processor does, which has no such term on the way
+    /// back.
     ///
     /// # Errors
     /// The network library's, if the last dimension does not fit.
@@ -196,7 +200,8 @@ impl ImageNormaliser {
         })
     }
 
-    /// Bytes `(.., height, width, 3)` to floats `(.., 3, height, width)`; the channels stay last in memory.
+    /// Bytes `(.., height, width, 3)` to floats `(.., 3, height, width)`; the channels stay last in
+    /// memory.
     ///
     /// # Errors
     /// The network library's, if there are not three channels.

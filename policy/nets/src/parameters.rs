@@ -1,4 +1,5 @@
-//! Where the parameters of a network come from: drawn from a seed, or given by a checkpoint, by key.
+//! Where the parameters of a network come from: drawn from a seed, or given by a checkpoint, by
+//! key.
 
 use std::collections::{BTreeMap, BTreeSet};
 

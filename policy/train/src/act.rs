@@ -18,7 +18,8 @@ use trocar_nets::kernels::Kernels;
 use trocar_nets::normalise::ImageNormaliser;
 use trocar_nets::parameters::{ParameterError, ParameterSource};
 
-/// Frames whose images give a frozen batch normalisation its statistics, in a training from scratch.
+/// Frames whose images give a frozen batch normalisation its statistics, in a training from
+/// scratch.
 const STATISTICS_FRAMES: usize = 32;
 
 impl Network for Act {
@@ -37,8 +38,9 @@ impl Network for Act {
 impl Trainer {
     /// Trains the network `config` on `dataset` from a fresh start.
     ///
-    /// Cameras of the configuration must be the dataset's, in its order, and its widths those of the dataset's arms.
-    /// `watch` gets the number of decoded frames and every row of the loss curve.
+    /// Cameras of the configuration must be the dataset's, in its order, and its widths those of
+    /// the dataset's arms. `watch` gets the number of decoded frames and every row of the loss
+    /// curve.
     ///
     /// # Errors
     /// [`TrainError`].

@@ -32,7 +32,8 @@ impl Network for ActPc {
 }
 
 impl Trainer {
-    /// Trains the ACT-PC network `config` on the clouds that `cloud` makes of `dataset`, from a fresh start.
+    /// Trains the ACT-PC network `config` on the clouds that `cloud` makes of `dataset`, from a
+    /// fresh start.
     ///
     /// # Errors
     /// [`TrainError`].

@@ -1,4 +1,5 @@
-//! A tiny ACT-PC learns a tiny dataset with depth, the same way every time, and survives the disk as a policy.
+//! A tiny ACT-PC learns a tiny dataset with depth, the same way every time, and survives the disk
+//! as a policy.
 
 use std::fs;
 use std::sync::PoisonError;

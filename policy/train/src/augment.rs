@@ -6,8 +6,8 @@ use super::options::Augmentation;
 use hal::count::count_u32;
 use hal::random::SplitMix64;
 
-/// What is drawn for `batch` frames, for [`shifted`] and [`coloured`]: `(batch, 4)`, pixels down and right, and the changes of
-/// brightness and contrast. On the CPU.
+/// What is drawn for `batch` frames, for [`shifted`] and [`coloured`]: `(batch, 4)`, pixels down
+/// and right, and the changes of brightness and contrast. On the CPU.
 #[expect(
     clippy::cast_possible_truncation,
     reason = "networks compute in single precision"
@@ -36,7 +36,8 @@ pub(super) fn drawn(
     Tensor::f_from_slice(drawn.as_flattened())?.f_view([-1, 4])
 }
 
-/// `images` `(batch, cameras, height, width, channels)`, each frame moved by its own draw, its edges repeated.
+/// `images` `(batch, cameras, height, width, channels)`, each frame moved by its own draw, its
+/// edges repeated.
 pub(super) fn shifted(
     images: Tensor,
     options: &Augmentation,
@@ -62,14 +63,16 @@ pub(super) fn shifted(
         .f_view(size.as_slice())
 }
 
-/// Where the pixels along a side of `side` pixels come from, by the `column` of what was drawn: `(batch, side)`.
+/// Where the pixels along a side of `side` pixels come from, by the `column` of what was drawn:
+/// `(batch, side)`.
 fn sources(drawn: &Tensor, column: i64, side: i64) -> Result<Tensor, TchError> {
     let place = Tensor::f_arange(side, (Kind::Int64, drawn.device()))?;
     let moved = drawn.f_narrow(1, column, 1)?.f_to_kind(Kind::Int64)?;
     place.f_sub(&moved)?.f_clamp(0, side - 1)
 }
 
-/// `images` `(batch, cameras, 3, height, width)`, normalised, each frame with its own draw's brightness and contrast.
+/// `images` `(batch, cameras, 3, height, width)`, normalised, each frame with its own draw's
+/// brightness and contrast.
 pub(super) fn coloured(
     images: Tensor,
     options: &Augmentation,
@@ -81,7 +84,8 @@ pub(super) fn coloured(
     let column = |index| drawn.f_narrow(1, index, 1)?.f_view([-1, 1, 1, 1, 1]);
     let (brightness, contrast) = (column(2)?, column(3)?);
     let mean = images.f_mean_dim([1, 2, 3, 4].as_slice(), true, Kind::Float)?;
-    // A normalised image spans about four units, so a share of one unit times four is a share of the range.
+    // A normalised image spans about four units, so a share of one unit times four is a share of
+    // the range.
     let stretched = images
         .f_sub(&mean)?
         .f_mul(&contrast.f_add_scalar(1.0)?)?
@@ -98,8 +102,9 @@ pub(super) fn state(state: Tensor, options: &Augmentation) -> Result<Tensor, Tch
     }
 }
 
-/// `points` `(.., points, 3)` with the noise that the options ask for; `metre` is what a metre is in their units, one for each
-/// coordinate. Of hidden points the first of the cloud takes the place, if `may_hide`.
+/// `points` `(.., points, 3)` with the noise that the options ask for; `metre` is what a metre is
+/// in their units, one for each coordinate. Of hidden points the first of the cloud takes the
+/// place, if `may_hide`.
 pub(super) fn points(
     points: Tensor,
     options: &Augmentation,

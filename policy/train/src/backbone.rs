@@ -1,5 +1,5 @@
-//! What a network's backbone starts from: random numbers (with statistics of the dataset's images, if its normalisation is
-//! frozen), weights that were trained elsewhere, or an earlier run's state.
+//! What a network's backbone starts from: random numbers (with statistics of the dataset's images,
+//! if its normalisation is frozen), weights that were trained elsewhere, or an earlier run's state.
 
 use std::collections::BTreeMap;
 
@@ -12,8 +12,9 @@ use trocar_nets::checkpoint::BackboneWeights;
 use trocar_nets::parameters::ParameterSource;
 
 impl Trainer {
-    /// The same, but that the backbone of an ACT network, which must have frozen batch normalisation, starts from `weights`
-    /// instead of random ones. A run that goes on has it all in its state.
+    /// The same, but that the backbone of an ACT network, which must have frozen batch
+    /// normalisation, starts from `weights` instead of random ones. A run that goes on has it all
+    /// in its state.
     #[must_use]
     pub fn starting_from(self, weights: BackboneWeights) -> Self {
         Self {
@@ -22,8 +23,9 @@ impl Trainer {
         }
     }
 
-    /// The network before its first step; of a run that goes on, with that run's statistics, which it takes in while it is
-    /// built. `images` gives `(n, cameras, 3, height, width)`, normalised, on the CPU.
+    /// The network before its first step; of a run that goes on, with that run's statistics, which
+    /// it takes in while it is built. `images` gives `(n, cameras, 3, height, width)`, normalised,
+    /// on the CPU.
     pub(super) fn fresh(
         &self,
         config: &ActConfig,

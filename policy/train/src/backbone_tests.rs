@@ -1,4 +1,5 @@
-//! A backbone with fixed statistics starts from what is given, keeps its statistics, and goes on from a state without them.
+//! A backbone with fixed statistics starts from what is given, keeps its statistics, and goes on
+//! from a state without them.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -22,7 +23,8 @@ fn frozen() -> ActConfig {
     }
 }
 
-/// The backbone of a network that was trained elsewhere, by torchvision's names, with what else its file has.
+/// The backbone of a network that was trained elsewhere, by torchvision's names, with what else its
+/// file has.
 fn foreign() -> BTreeMap<String, Tensor> {
     let act = Act::new(frozen(), ParameterSource::seeded(9, Device::Cpu)).unwrap();
     let mut tensors = BTreeMap::new();
@@ -122,8 +124,8 @@ fn it_starts_from_the_file_and_leaves_the_statistics_alone() {
     }
 }
 
-/// From scratch, statistics are those of the dataset's images: they are not the neutral ones, training leaves them alone, and a
-/// run that goes on has them from its state.
+/// From scratch, statistics are those of the dataset's images: they are not the neutral ones,
+/// training leaves them alone, and a run that goes on has them from its state.
 #[test]
 fn from_scratch_the_statistics_are_those_of_the_images() {
     let scratch = dataset("backbone-scratch");
@@ -151,7 +153,8 @@ fn from_scratch_the_statistics_are_those_of_the_images() {
         let key = format!("model.backbone.{name}");
         trained.network.parameters().get(&key).unwrap().copy()
     };
-    // All images of the dataset are fewer than are measured, so the first layer's can be said by hand.
+    // All images of the dataset are fewer than are measured, so the first layer's can be said by
+    // hand.
     let drawn = Act::new(
         config.clone(),
         ParameterSource::seeded(options.seed, Device::Cpu),

@@ -1,4 +1,5 @@
-//! A dataset as point clouds: every frame's cloud made once and kept, by the function that policies use at run time.
+//! A dataset as point clouds: every frame's cloud made once and kept, by the function that policies
+//! use at run time.
 
 use hal::FrameRef;
 use tch::{Device, TchError, Tensor};
@@ -13,7 +14,8 @@ use trocar_data::relative_action::RELATIVE_ACTION_DIM;
 use trocar_nets::checkpoint::CloudStatistics;
 use trocar_nets::dimension::dimension;
 
-/// Greatest share of frames in which nothing wanted is in view. More is no occlusion: the recipe does not fit the cameras.
+/// Greatest share of frames in which nothing wanted is in view. More is no occlusion: the recipe
+/// does not fit the cameras.
 const UNSEEN_SHARE_MAX: f64 = 0.2;
 
 /// Frames that a thread converts between two reports of progress.
@@ -37,8 +39,8 @@ pub(super) struct CloudSet {
 }
 
 impl CloudSet {
-    /// Reads `dataset`; chunks have `steps` steps, the first of them `before` steps before its frame. The last episodes,
-    /// the options' share of them, take no part in the statistics.
+    /// Reads `dataset`; chunks have `steps` steps, the first of them `before` steps before its
+    /// frame. The last episodes, the options' share of them, take no part in the statistics.
     pub(super) fn new(
         dataset: &Dataset,
         cloud: &CloudRecipe,
@@ -71,7 +73,8 @@ impl CloudSet {
         if unseen > 0 {
             watch.progress(&Progress::Unseen { frames: unseen, of });
         }
-        // A cloud that shows nothing lies at the origin, which may be far from all that there is to see.
+        // A cloud that shows nothing lies at the origin, which may be far from all that there is to
+        // see.
         let seen = trained.iter().map(|&frame| &clouds[frame]);
         let seen = seen.filter(|cloud| !shows_nothing(cloud));
         let points = limits(seen.flatten());
@@ -169,8 +172,8 @@ fn limits<'a>(points: impl Iterator<Item = &'a Point>) -> [Point; 2] {
     [min, max]
 }
 
-/// The cloud of every frame, `threads` at a time; the order is that of the frames whatever the threads do. `on_read`
-/// hears how many are done.
+/// The cloud of every frame, `threads` at a time; the order is that of the frames whatever the
+/// threads do. `on_read` hears how many are done.
 fn clouds(
     dataset: &Dataset,
     cloud: &CloudRecipe,

@@ -1,4 +1,5 @@
-//! Training of DP3: the published recipe, but that every frame begins a sample, also the last ones of an episode.
+//! Training of DP3: the published recipe, but that every frame begins a sample, also the last ones
+//! of an episode.
 //!
 //! Source: reference note on policies, section 5.7.
 
@@ -33,7 +34,8 @@ impl Network for Dp3 {
 }
 
 impl Trainer {
-    /// Trains the DP3 network `config` on the clouds that `cloud` makes of `dataset`, from a fresh start.
+    /// Trains the DP3 network `config` on the clouds that `cloud` makes of `dataset`, from a fresh
+    /// start.
     ///
     /// # Errors
     /// [`TrainError`].

@@ -1,4 +1,5 @@
-//! A tiny DP3 learns a tiny dataset with depth, the same way every time, and survives the disk as a policy.
+//! A tiny DP3 learns a tiny dataset with depth, the same way every time, and survives the disk as a
+//! policy.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -253,7 +254,8 @@ fn training_lowers_the_loss_and_repeats_itself() {
     assert_eq!(both, fresh(3, &[0, 1, 2, 3]), "older steps are not");
     assert_eq!(fresh(3, &[]), fresh(3, &[1]), "a gap is no history");
 
-    // Of 15 steps a second the one before is 67 ms ago: nearest to it is what was seen 80 ms ago, in a run that shows it every 40.
+    // Of 15 steps a second the one before is 67 ms ago: nearest to it is what was seen 80 ms ago,
+    // in a run that shows it every 40.
     save(&folder, &first, 66_666_667);
     let mut slow = Dp3Policy::load(&folder, Device::Cpu).unwrap();
     assert_eq!((policy.history_steps(), slow.history_steps()), (1, 2));
@@ -361,7 +363,8 @@ fn short_occlusion_is_trained_on_and_blindness_refused() {
     };
     assert_eq!(unseen, Some((2, 12)));
     assert!(trained.curve.last().unwrap().loss.is_finite());
-    // The hidden frames' clouds at the scene's origin are no limit of what there is to see, 0.1 m and more above it.
+    // The hidden frames' clouds at the scene's origin are no limit of what there is to see, 0.1 m
+    // and more above it.
     assert!(
         trained.statistics.points[0][2] > 0.05,
         "{:?}",

@@ -30,8 +30,8 @@ pub enum TrainError {
          recipe `published` has"
     )]
     Diverged {
-        /// The first step with such a number, counted from 1; it is noticed at the next row of the loss curve, or before the state
-        /// is kept.
+        /// The first step with such a number, counted from 1; it is noticed at the next row of the
+        /// loss curve, or before the state is kept.
         step: u64,
         /// The first such number of that step: `l1`, `kl`, `loss` or `gradient`.
         term: &'static str,

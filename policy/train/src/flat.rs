@@ -1,7 +1,7 @@
 //! All trained parameters in one long tensor, with AdamW, clipping and the moving average over it.
 //!
-//! The network holds views of the long tensor, so one step is a dozen operations whatever the number of layers, and fewer on an
-//! accelerator.
+//! The network holds views of the long tensor, so one step is a dozen operations whatever the
+//! number of layers, and fewer on an accelerator.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,8 @@ const BETA_2: f64 = 0.999;
 /// Added to the root of the second moment.
 const EPS: f64 = 1e-8;
 
-/// On an accelerator every parameter begins at a multiple of so many elements: kernels read 16 bytes at once, or are slow.
+/// On an accelerator every parameter begins at a multiple of so many elements: kernels read 16
+/// bytes at once, or are slow.
 const ALIGNED: i64 = 64;
 
 /// A part of the network outside autograd, with its own backward pass.
@@ -104,7 +105,8 @@ pub(super) struct FlatParameters {
     first_moment: Tensor,
     second_moment: Tensor,
     average: Option<Tensor>,
-    /// What the optimiser leaves alone, in single precision: tables, and statistics that move with what is seen.
+    /// What the optimiser leaves alone, in single precision: tables, and statistics that move with
+    /// what is seen.
     fixed: BTreeMap<String, Tensor>,
 }
 
@@ -184,8 +186,8 @@ impl FlatParameters {
         Ok(flat)
     }
 
-    /// The tensors that the network should be built from; they share their memory with these. Those that the optimiser leaves
-    /// alone are in single precision whatever the others are.
+    /// The tensors that the network should be built from; they share their memory with these. Those
+    /// that the optimiser leaves alone are in single precision whatever the others are.
     pub(super) fn working_tensors(&self) -> BTreeMap<String, Tensor> {
         let trained = self.keys.iter().zip(&self.leaves);
         let all = self.fixed.iter().chain(trained);
@@ -266,7 +268,8 @@ impl FlatParameters {
         named
     }
 
-    /// Copies of the averaged (or last) parameters in single precision, with what the optimiser left alone.
+    /// Copies of the averaged (or last) parameters in single precision, with what the optimiser
+    /// left alone.
     pub(super) fn averaged_tensors(&self) -> Result<BTreeMap<String, Tensor>, TchError> {
         let source = self.average.as_ref().unwrap_or(&self.master);
         let mut tensors = BTreeMap::new();
@@ -275,14 +278,16 @@ impl FlatParameters {
         }
         let parts = self.parts(source)?;
         for ((key, leaf), part) in self.keys.iter().zip(&self.leaves).zip(parts) {
-            // A copy of its own lies in memory as a loaded one does, so that kernels round the same way.
+            // A copy of its own lies in memory as a loaded one does, so that kernels round the same
+            // way.
             let own = part.f_add_scalar(0.0)?;
             tensors.insert(key.clone(), unflatten(&own, 0, &leaf.size())?);
         }
         Ok(tensors)
     }
 
-    /// One step of AdamW down the gradient of `loss`. Returns the norm of the gradient before clipping, still on the device.
+    /// One step of AdamW down the gradient of `loss`. Returns the norm of the gradient before
+    /// clipping, still on the device.
     pub(super) fn step(
         &mut self,
         loss: &Tensor,
@@ -323,7 +328,8 @@ impl FlatParameters {
         Ok(backbone.iter().map(of).chain(gradients).collect())
     }
 
-    /// The same in fewer operations, all of them the same at every step: the `rates` are those that were [`Rates::sent`].
+    /// The same in fewer operations, all of them the same at every step: the `rates` are those that
+    /// were [`Rates::sent`].
     pub(super) fn fused_step(
         &mut self,
         loss: &Tensor,

@@ -1,4 +1,5 @@
-//! All images of a dataset, decoded once: on the training device, or in the host's memory and sent ahead of each step.
+//! All images of a dataset, decoded once: on the training device, or in the host's memory and sent
+//! ahead of each step.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -24,7 +25,8 @@ const BLOCK_BYTES: usize = 1 << 28;
 pub(super) enum FrameImages {
     /// `(frames, cameras, height, width, 3)` on the training device.
     Resident(Tensor),
-    /// In the host's memory, for what the device can't hold; a thread gathers the next batch while a step is computed.
+    /// In the host's memory, for what the device can't hold; a thread gathers the next batch while
+    /// a step is computed.
     Streamed(Stream),
 }
 
@@ -57,8 +59,8 @@ impl Shape {
 impl FrameImages {
     /// Decodes all images of `dataset` at the network's size, `threads` at a time.
     ///
-    /// They stay on `device`; in the host's memory if `on_host` says so or the device has no room. `on_read` hears how
-    /// many frames are done.
+    /// They stay on `device`; in the host's memory if `on_host` says so or the device has no room.
+    /// `on_read` hears how many frames are done.
     pub(super) fn new(
         dataset: &Dataset,
         config: &ActConfig,
@@ -120,7 +122,8 @@ impl FrameImages {
         }
     }
 
-    /// The images of the frames `indices` on the training device, or those that were [`Self::sent`].
+    /// The images of the frames `indices` on the training device, or those that were
+    /// [`Self::sent`].
     pub(super) fn batch(
         &self,
         indices: &Tensor,
@@ -215,7 +218,8 @@ fn gather(bytes: &[u8], shape: Shape, frames: &[usize]) -> Vec<u8> {
     batch
 }
 
-/// The images of `frames`, `threads` at a time; the order is that of the frames whatever the threads do.
+/// The images of `frames`, `threads` at a time; the order is that of the frames whatever the
+/// threads do.
 fn decode(
     dataset: &Dataset,
     shape: Shape,

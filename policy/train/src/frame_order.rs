@@ -23,7 +23,8 @@ impl FrameOrder {
         }
     }
 
-    /// The `count` frames of `step`, from 0, when every step has as many; none if there are no frames at all.
+    /// The `count` frames of `step`, from 0, when every step has as many; none if there are no
+    /// frames at all.
     pub(super) fn of_step(&mut self, step: u64, count: usize) -> Vec<usize> {
         let total = self.frames.len() as u64;
         if total == 0 {

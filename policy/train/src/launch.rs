@@ -1,6 +1,8 @@
-//! How a step's kernels are launched on an accelerator: one by one or, captured after the first few steps, as one CUDA graph.
+//! How a step's kernels are launched on an accelerator: one by one or, captured after the first few
+//! steps, as one CUDA graph.
 //!
-//! A step is some two thousand kernels, and launching them takes the host longer than running them takes the device.
+//! A step is some two thousand kernels, and launching them takes the host longer than running them
+//! takes the device.
 
 use tch::{Device, TchError, Tensor};
 
@@ -40,8 +42,8 @@ impl Launch {
         Ok(Self::Eager)
     }
 
-    /// Launches a step, which is `work` with `inputs`; the result is on the device. `work` must launch the same at every step, and
-    /// the caller seeds the generator of random numbers.
+    /// Launches a step, which is `work` with `inputs`; the result is on the device. `work` must
+    /// launch the same at every step, and the caller seeds the generator of random numbers.
     pub(super) fn step(
         &mut self,
         inputs: &[Tensor],

@@ -9,7 +9,8 @@ const THREADS_MAX: usize = 1024;
 /// Pixels by which images are shifted at most: no image is larger.
 const SHIFT_PX_MAX: u32 = 4096;
 
-/// Number format of the forward and backward pass; the master copy of the weights is always single precision.
+/// Number format of the forward and backward pass; the master copy of the weights is always single
+/// precision.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TrainPrecision {
@@ -31,8 +32,9 @@ pub enum Schedule {
     Cosine,
     /// It falls to nothing along half a cosine.
     CosineToZero,
-    /// It rises from a hundredth over a tenth of the steps and falls to a hundred-thousandth, both along half a cosine;
-    /// there is no other warm-up. PyTorch's `OneCycleLR` with PointCloudMatters' numbers.
+    /// It rises from a hundredth over a tenth of the steps and falls to a hundred-thousandth, both
+    /// along half a cosine; there is no other warm-up. PyTorch's `OneCycleLR` with
+    /// PointCloudMatters' numbers.
     OneCycle,
 }
 
@@ -49,7 +51,8 @@ pub struct Augmentation {
     pub state_noise: f64,
     /// Standard deviation of noise on every coordinate of a point, m. 0 is off.
     pub point_noise_m: f64,
-    /// Share of a cloud's points that are hidden: the first takes their place, which a maximum does not see. 0 is off.
+    /// Share of a cloud's points that are hidden: the first takes their place, which a maximum does
+    /// not see. 0 is off.
     pub point_dropout: f64,
 }
 
@@ -74,23 +77,28 @@ pub struct TrainOptions {
     pub schedule: Schedule,
     /// Greatest norm of the gradient; longer ones are shortened to it. Infinite is off.
     pub clip_norm: f64,
-    /// Decay of the moving average of the weights, which is what is kept at the end. 0 keeps the last weights.
+    /// Decay of the moving average of the weights, which is what is kept at the end. 0 keeps the
+    /// last weights.
     pub ema_decay: f64,
-    /// How the decay grows to its greatest: DP3's `1 - n^-power` after `n` updates; 0 is `(1 + n) / (10 + n)`.
+    /// How the decay grows to its greatest: DP3's `1 - n^-power` after `n` updates; 0 is `(1 + n) /
+    /// (10 + n)`.
     pub ema_power: f64,
     /// Share of the episodes, the last ones, that is held out for validation. 0 is none.
     pub validation_share: f64,
     /// Steps between two rows of the loss curve.
     pub log_every: u64,
-    /// Steps between two times that the state is kept, so that the run can go on from there. 0 is never.
+    /// Steps between two times that the state is kept, so that the run can go on from there. 0 is
+    /// never.
     pub save_every: u64,
     /// Number format of the passes.
     pub precision: TrainPrecision,
     /// Random changes of the images.
     pub augmentation: Augmentation,
-    /// Keep the images in the host's memory and send each step's ahead of it, for what the device has no room for.
+    /// Keep the images in the host's memory and send each step's ahead of it, for what the device
+    /// has no room for.
     pub images_on_host: bool,
-    /// Tell an accelerator each operation of every step, instead of recording a step after the first few and repeating it.
+    /// Tell an accelerator each operation of every step, instead of recording a step after the
+    /// first few and repeating it.
     #[serde(skip)]
     pub eager: bool,
     /// Threads that decode images, and that compute if training is on the CPU.
@@ -216,8 +224,8 @@ mod tests {
             steps: 1000,
             ..TrainOptions::point_cloud_matters()
         };
-        // torch.optim.lr_scheduler.OneCycleLR(max_lr=1, total_steps=1000, pct_start=0.1, div_factor=100,
-        // final_div_factor=1000).
+        // torch.optim.lr_scheduler.OneCycleLR(max_lr=1, total_steps=1000, pct_start=0.1,
+        // div_factor=100, final_div_factor=1000).
         let library = [
             (0, 0.01),
             (50, 0.512_853_652_098_23),

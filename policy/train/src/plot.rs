@@ -1,4 +1,5 @@
-//! The curve of a training as a picture: a small vector graphic, losses over steps on a logarithmic scale.
+//! The curve of a training as a picture: a small vector graphic, losses over steps on a logarithmic
+//! scale.
 
 use core::fmt::Write as _;
 

@@ -7,8 +7,8 @@ use trocar_nets::act::ActPreset;
 use trocar_nets::dp3::MovingAverage;
 
 impl TrainOptions {
-    /// What suits `preset` from scratch. The original's learning rates of 1e-5 are for a network whose backbone was trained
-    /// before; here they are tenfold.
+    /// What suits `preset` from scratch. The original's learning rates of 1e-5 are for a network
+    /// whose backbone was trained before; here they are tenfold.
     #[must_use]
     pub const fn preset(preset: ActPreset) -> Self {
         let small = Self {
@@ -50,10 +50,12 @@ impl TrainOptions {
         }
     }
 
-    /// `preset`'s recipe as its authors have it, where they say. It is meant for a backbone that was trained on ImageNet
-    /// ([`Trainer::starting_from`](super::Trainer::starting_from)); [`Self::preset`] is what learns from scratch.
+    /// `preset`'s recipe as its authors have it, where they say. It is meant for a backbone that
+    /// was trained on ImageNet ([`Trainer::starting_from`](super::Trainer::starting_from));
+    /// [`Self::preset`] is what learns from scratch.
     ///
-    /// The original's epochs take one frame of every episode: 2000 of them on 50 episodes are these steps.
+    /// The original's epochs take one frame of every episode: 2000 of them on 50 episodes are these
+    /// steps.
     #[must_use]
     pub const fn published(preset: ActPreset) -> Self {
         let steps = match preset {
@@ -77,8 +79,8 @@ impl TrainOptions {
         }
     }
 
-    /// The same for a backbone that was trained elsewhere: it moves at the rate that the authors of ACT give it, 1e-5, or
-    /// slower if it did.
+    /// The same for a backbone that was trained elsewhere: it moves at the rate that the authors of
+    /// ACT give it, 1e-5, or slower if it did.
     #[must_use]
     pub const fn for_trained_backbone(self) -> Self {
         Self {
@@ -87,8 +89,8 @@ impl TrainOptions {
         }
     }
 
-    /// PointCloudMatters' recipe; its batches of 8, two to a step, are ones of 16. Its 500 epochs are steps that depend on the
-    /// dataset, so that their number is [`Self::preset`]'s.
+    /// PointCloudMatters' recipe; its batches of 8, two to a step, are ones of 16. Its 500 epochs
+    /// are steps that depend on the dataset, so that their number is [`Self::preset`]'s.
     #[must_use]
     pub const fn point_cloud_matters() -> Self {
         Self {
@@ -104,7 +106,8 @@ impl TrainOptions {
         }
     }
 
-    /// DP3's published recipe over `steps` steps; its own number of them is 3000 times the frames over the batch.
+    /// DP3's published recipe over `steps` steps; its own number of them is 3000 times the frames
+    /// over the batch.
     #[must_use]
     pub const fn dp3(steps: u64) -> Self {
         Self {

@@ -1,7 +1,8 @@
 //! The state from which a training resumes, in one file.
 //!
-//! Every random number of a step depends on the run's seed and the step alone, so that there is no generator state to
-//! keep: what is kept is the parameters with their optimiser, the moving average, and the curve so far.
+//! Every random number of a step depends on the run's seed and the step alone, so that there is no
+//! generator state to keep: what is kept is the parameters with their optimiser, the moving
+//! average, and the curve so far.
 
 use hal::count::index;
 use std::collections::BTreeMap;
@@ -44,7 +45,8 @@ pub struct RunState {
 }
 
 impl RunState {
-    /// Writes the state to `file`, by way of a file beside it, so that a cut-off leaves the state before it.
+    /// Writes the state to `file`, by way of a file beside it, so that a cut-off leaves the state
+    /// before it.
     ///
     /// # Errors
     /// [`TrainError::State`] naming the file.

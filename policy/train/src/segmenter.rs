@@ -1,8 +1,9 @@
 //! Training of a segmenter on labelled CT volumes.
 //!
-//! A step takes windows from volumes drawn at random and changes their intensities as scanners do: another contrast of each tissue, scale
-//! and shift of all, blur, noise, rings and streaks. The loss is cross-entropy plus the Dice loss over all classes. On the CPU, with
-//! one seed and one thread, two runs give the same bits.
+//! A step takes windows from volumes drawn at random and changes their intensities as scanners do:
+//! another contrast of each tissue, scale and shift of all, blur, noise, rings and streaks. The
+//! loss is cross-entropy plus the Dice loss over all classes. On the CPU, with one seed and one
+//! thread, two runs give the same bits.
 
 mod scanner;
 #[cfg(test)]
@@ -79,8 +80,8 @@ impl SegmenterTraining {
         }
     }
 
-    /// Trains a network of `config` on `scans`; `watch` gets the step and the mean loss since its last call, and says whether to go
-    /// on: if not, the network is what it is by then.
+    /// Trains a network of `config` on `scans`; `watch` gets the step and the mean loss since its
+    /// last call, and says whether to go on: if not, the network is what it is by then.
     ///
     /// # Errors
     /// [`TrainError`]: impossible options, no scan, one smaller than a window, a loss that is not finite.
@@ -142,7 +143,8 @@ impl SegmenterTraining {
         Ok(UNet::new(config.clone(), averaged)?)
     }
 
-    /// Windows `(batch, 1, x, y, z)` as the network sees them, and their classes `(batch, x, y, z)`.
+    /// Windows `(batch, 1, x, y, z)` as the network sees them, and their classes `(batch, x, y,
+    /// z)`.
     fn batch(
         &self,
         settings: &SegmenterSettings,
@@ -238,7 +240,8 @@ impl Volume {
     }
 }
 
-/// Cross-entropy plus one minus the mean Dice over the classes, of `scores` `(batch, classes, x, y, z)`.
+/// Cross-entropy plus one minus the mean Dice over the classes, of `scores` `(batch, classes, x, y,
+/// z)`.
 fn loss(scores: &Tensor, wanted: &Tensor, classes: i64) -> Result<Tensor, TchError> {
     let log = scores
         .f_log_softmax(1, Kind::Float)?

@@ -1,4 +1,5 @@
-//! The steps of a run, whatever the network: batches, optimiser, loss curve, end when the loss is NaN.
+//! The steps of a run, whatever the network: batches, optimiser, loss curve, end when the loss is
+//! NaN.
 
 use std::path::PathBuf;
 
@@ -19,13 +20,15 @@ pub(super) trait Learner {
     /// The frames of the step after the next one, to be prefetched.
     fn announce(&self, _frames: &[usize]) {}
 
-    /// All that a step depends on but the weights and the network library's random numbers, where the network is; of one form at
-    /// every step.
+    /// All that a step depends on but the weights and the network library's random numbers, where
+    /// the network is; of one form at every step.
     fn inputs(&self, frames: &[usize], random: &mut SplitMix64) -> Result<Vec<Tensor>, TchError>;
 
-    /// The loss over the frames of `inputs`, and its two parts for the curve: error of the actions, divergence.
+    /// The loss over the frames of `inputs`, and its two parts for the curve: error of the actions,
+    /// divergence.
     ///
-    /// It launches the same kernels at every step and reads nothing back: a CUDA graph may capture it.
+    /// It launches the same kernels at every step and reads nothing back: a CUDA graph may capture
+    /// it.
     fn losses(&self, inputs: &[Tensor]) -> Result<Losses<'_>, TchError>;
 
     /// Mean absolute error of the normalised actions over `frames`, as inference sees them.
@@ -61,7 +64,8 @@ pub(super) struct Split<'a> {
     pub(super) held_out: &'a [usize],
 }
 
-/// What the columns of the losses since the last row are, in the order in which the first is looked for that went wrong.
+/// What the columns of the losses since the last row are, in the order in which the first is looked
+/// for that went wrong.
 const TERMS: [(usize, &str); 4] = [(1, "l1"), (2, "kl"), (0, "loss"), (3, "gradient")];
 
 /// A run on its way through the steps.
@@ -82,8 +86,8 @@ pub(super) struct Steps<'a> {
 type SoFar<'a> = dyn Fn(&FlatParameters, LossCurve) -> Result<AnyTrained, TrainError> + 'a;
 
 impl Steps<'_> {
-    /// Takes the steps that are left, all of them or those after `from`'s; `watch` gets every row of the loss curve
-    /// and keeps the state.
+    /// Takes the steps that are left, all of them or those after `from`'s; `watch` gets every row
+    /// of the loss curve and keeps the state.
     pub(super) fn take(
         &self,
         flat: &mut FlatParameters,
@@ -263,7 +267,8 @@ fn check_finite(done: u64, since_row: &[Tensor]) -> Result<(), TrainError> {
     }
 }
 
-/// Which step and which term was the first that is not finite, among `all` `(steps, 4)` up to step `done`.
+/// Which step and which term was the first that is not finite, among `all` `(steps, 4)` up to step
+/// `done`.
 fn diverged(done: u64, all: &Tensor) -> Result<TrainError, TchError> {
     let rows = Vec::<f64>::try_from(&all.f_to_kind(Kind::Double)?.f_reshape([-1])?)?;
     let (rows, _) = rows.as_chunks::<4>();
@@ -285,8 +290,8 @@ fn diverged(done: u64, all: &Tensor) -> Result<TrainError, TchError> {
     })
 }
 
-/// Mean absolute error of held-out frames, normalised; none without such frames. At most 256 frames, evenly spread, by
-/// the weights as they are.
+/// Mean absolute error of held-out frames, normalised; none without such frames. At most 256
+/// frames, evenly spread, by the weights as they are.
 fn validate(
     learner: &dyn Learner,
     held_out: &[usize],

@@ -160,7 +160,8 @@ pub(super) fn recipe(config: &ActConfig) -> Recipe {
     }
 }
 
-/// The library's number of threads belongs to the process, and its answers' last bits hang on it: one training at a time.
+/// The library's number of threads belongs to the process, and its answers' last bits hang on it:
+/// one training at a time.
 pub(super) static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 fn run(
@@ -294,7 +295,8 @@ fn relative_actions_are_those_of_the_recording() {
     )
     .unwrap();
     let action = &trained.statistics.action;
-    // From one to four steps ahead of the tip, padding not counted, half a millimetre aside in the second episode.
+    // From one to four steps ahead of the tip, padding not counted, half a millimetre aside in the
+    // second episode.
     assert!(
         (action.min[0] - 0.001).abs() < 1e-6 && (action.max[0] - 0.004).abs() < 1e-6,
         "{action:?}"

@@ -1,5 +1,5 @@
-//! What the trainings of all networks share: fresh parameters laid flat, a learner on views of them, the steps, and in the end the network
-//! with averaged weights.
+//! What the trainings of all networks share: fresh parameters laid flat, a learner on views of
+//! them, the steps, and in the end the network with averaged weights.
 
 use serde::Serialize;
 use tch::Device;
@@ -45,8 +45,8 @@ pub struct Trained<N: Network> {
     pub network: N,
     /// Statistics of the frames trained on.
     pub statistics: N::Statistics,
-    /// The losses along the way. `l1` is the mean error of the actions, as the configuration counts it; of DP3 what is minimised, the mean
-    /// square.
+    /// The losses along the way. `l1` is the mean error of the actions, as the configuration counts
+    /// it; of DP3 what is minimised, the mean square.
     pub curve: LossCurve,
     /// Frames trained on.
     pub frames: usize,
@@ -119,8 +119,8 @@ impl Trainer {
         }
     }
 
-    /// The same, but that a run goes on from `state` instead of starting: on the CPU, and with the same options, dataset and
-    /// number of threads, to the same bits as one that was never stopped.
+    /// The same, but that a run goes on from `state` instead of starting: on the CPU, and with the
+    /// same options, dataset and number of threads, to the same bits as one that was never stopped.
     #[must_use]
     pub fn resuming(self, state: RunState) -> Self {
         Self {
@@ -129,9 +129,10 @@ impl Trainer {
         }
     }
 
-    /// Sets what the network library keeps for the whole process: threads, and on CUDA that it may try which kernels are
-    /// the fastest (every step has the same shapes) and that matrix products of single precision are TF32, as convolutions are. Waiting
-    /// takes no core from other trainings.
+    /// Sets what the network library keeps for the whole process: threads, and on CUDA that it may
+    /// try which kernels are the fastest (every step has the same shapes) and that matrix products
+    /// of single precision are TF32, as convolutions are. Waiting takes no core from other
+    /// trainings.
     pub(super) fn begin(&self, options: &TrainOptions) {
         tch::set_num_threads(i32::try_from(options.threads.max(1)).unwrap_or(1));
         if self.device.is_cuda() {
@@ -141,8 +142,8 @@ impl Trainer {
         }
     }
 
-    /// Trains the network `config` from the `fresh` parameters on what is `prepared`: `learner` makes, of the network whose weights the
-    /// optimiser moves, what takes the steps.
+    /// Trains the network `config` from the `fresh` parameters on what is `prepared`: `learner`
+    /// makes, of the network whose weights the optimiser moves, what takes the steps.
     pub(super) fn train<N: Network, L: Learner>(
         &self,
         (config, fresh): (&N::Config, &Parameters),

@@ -1,4 +1,5 @@
-//! A dataset as tensors: images once decoded at the network's size, states, and chunks of relative actions.
+//! A dataset as tensors: images once decoded at the network's size, states, and chunks of relative
+//! actions.
 
 use std::ops::Range;
 
@@ -47,8 +48,8 @@ pub(super) struct Batch {
 }
 
 impl TrainingSet {
-    /// Reads `dataset` for the network `config`; the last episodes, the options' share of them, are held out, and take
-    /// no part in the statistics. `on_read` hears how many frames are decoded.
+    /// Reads `dataset` for the network `config`; the last episodes, the options' share of them, are
+    /// held out, and take no part in the statistics. `on_read` hears how many frames are decoded.
     pub(super) fn new(
         dataset: &Dataset,
         config: &ActConfig,
@@ -150,8 +151,8 @@ pub(super) struct ChunkRow {
     valid: usize,
 }
 
-/// The commands of `steps` frames, the first of them `before` frames before `frame`, each arm's relative to its tip at
-/// `frame`; beyond either end of the episode the one there repeats.
+/// The commands of `steps` frames, the first of them `before` frames before `frame`, each arm's
+/// relative to its tip at `frame`; beyond either end of the episode the one there repeats.
 pub(super) fn chunk_of(
     dataset: &Dataset,
     episode: &Range<usize>,

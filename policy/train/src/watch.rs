@@ -12,7 +12,8 @@ pub enum Progress {
         /// Frames of the dataset.
         of: usize,
     },
-    /// Clouds are made; in some frames nothing wanted was in view, and their clouds lie at the origin.
+    /// Clouds are made; in some frames nothing wanted was in view, and their clouds lie at the
+    /// origin.
     Unseen {
         /// Frames without a point.
         frames: usize,
@@ -54,20 +55,22 @@ pub trait TrainingObserver {
     /// Reports progress.
     fn progress(&mut self, progress: &Progress);
 
-    /// Whether to report the step after which `step` are done; called after every step. Reading its loss waits for the device.
+    /// Whether to report the step after which `step` are done; called after every step. Reading its
+    /// loss waits for the device.
     fn wants_step(&mut self, step: u64) -> bool {
         let _unwanted = step;
         false
     }
 
-    /// Whether to pass the network after `step` steps to [`Self::network`]; called after every step, and when a run resumes.
+    /// Whether to pass the network after `step` steps to [`Self::network`]; called after every
+    /// step, and when a run resumes.
     fn wants_network(&mut self, step: u64) -> bool {
         let _unwanted = step;
         false
     }
 
-    /// Takes the outcome of the run as if it ended after `step` steps. The run continues with the same bits, provided that
-    /// libtorch's number of threads is restored.
+    /// Takes the outcome of the run as if it ended after `step` steps. The run continues with the
+    /// same bits, provided that libtorch's number of threads is restored.
     ///
     /// # Errors
     /// Whatever is to end the run.
@@ -81,7 +84,8 @@ pub trait TrainingObserver {
         false
     }
 
-    /// Saves the state, every [`TrainOptions::save_every`](crate::TrainOptions::save_every) steps and when the run is stopped.
+    /// Saves the state, every [`TrainOptions::save_every`](crate::TrainOptions::save_every) steps
+    /// and when the run is stopped.
     ///
     /// # Errors
     /// Whatever is to end the run.

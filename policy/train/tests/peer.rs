@@ -1,7 +1,9 @@
-//! Our side of the comparisons with other programs, which scripts in `tests/scripts/` and `policy/convert/` start.
+//! Our side of the comparisons with other programs, which scripts in `tests/scripts/` and
+//! `policy/convert/` start.
 //!
-//! `TROCAR_PEER` names a JSON list of jobs, each with a `do` and the paths that it needs. Tensors travel as safetensors.
-//! Without the variable there is nobody to answer, so the test is ignored unless a script asks for it.
+//! `TROCAR_PEER` names a JSON list of jobs, each with a `do` and the paths that it needs. Tensors
+//! travel as safetensors. Without the variable there is nobody to answer, so the test is ignored
+//! unless a script asks for it.
 
 #![expect(
     clippy::unwrap_used,
@@ -57,7 +59,8 @@ fn tensors(file: &Path) -> BTreeMap<String, Tensor> {
         .collect()
 }
 
-/// The chunks of an ACT checkpoint in SI units, for states and images in bytes `(batch, height, width, 3)` a camera.
+/// The chunks of an ACT checkpoint in SI units, for states and images in bytes `(batch, height,
+/// width, 3)` a camera.
 fn answer_as_act(job: &Value) {
     let loaded = checkpoint::load(path(job, "checkpoint"), Device::Cpu).unwrap();
     let inputs = tensors(path(job, "inputs"));
@@ -74,7 +77,8 @@ fn answer_as_act(job: &Value) {
     Tensor::write_safetensors(&[("action", action.unwrap())], path(job, "output")).unwrap();
 }
 
-/// What a DP3 checkpoint predicts in SI units, for clouds, states and the noise that it starts from.
+/// What a DP3 checkpoint predicts in SI units, for clouds, states and the noise that it starts
+/// from.
 fn answer_as_dp3(job: &Value) {
     let loaded = checkpoint::load_dp3(path(job, "checkpoint"), Device::Cpu).unwrap();
     let inputs = tensors(path(job, "inputs"));
@@ -87,7 +91,8 @@ fn answer_as_dp3(job: &Value) {
     Tensor::write_safetensors(&[("action", actions)], path(job, "output")).unwrap();
 }
 
-/// All that a dataset's reader gives: vectors of all frames, and the images of every `image_stride`-th.
+/// All that a dataset's reader gives: vectors of all frames, and the images of every
+/// `image_stride`-th.
 fn dump_frames(job: &Value) {
     let dataset = Dataset::open(path(job, "dataset")).unwrap();
     let stride = usize::try_from(job["image_stride"].as_u64().unwrap()).unwrap();
@@ -131,8 +136,8 @@ fn dump_frames(job: &Value) {
     Tensor::write_safetensors(&named, path(job, "output")).unwrap();
 }
 
-/// Trains a small network for a few steps, its backbone normalised as the job says, and saves all of it in single
-/// precision.
+/// Trains a small network for a few steps, its backbone normalised as the job says, and saves all
+/// of it in single precision.
 fn train(job: &Value) {
     let dataset = Dataset::open(path(job, "dataset")).unwrap();
     let features = dataset.camera_names().iter();

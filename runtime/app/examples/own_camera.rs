@@ -1,14 +1,18 @@
-//! A camera of one's own: publishes frames on the topics of a run, where `trocar run --safety FILE --topics NAME` looks for them.
+//! A camera of one's own: publishes frames on the topics of a run, where `trocar run --safety FILE
+//! --topics NAME` looks for them.
 //!
 //! ```sh
 //! cargo run --release -p trocar --example own_camera -- cameras endoscope 512
 //! ```
 //!
-//! Or where a robot of one's own does (`own_robot.rs`). The number is the width and height in pixels.
+//! Or where a robot of one's own does (`own_robot.rs`). The number is the width and height in
+//! pixels.
 //!
-//! This one draws a bar that moves to the right; a real one would copy what its driver hands it, or have the driver write in place
-//! ([`FramePublisher::loan`](trocar_topics::FramePublisher::loan)). A frame is of the size that the policy was trained with, and its
-//! stamp is the time of its exposure on `CLOCK_MONOTONIC`: frames that are older than 0.5 s, or further ahead than 40 ms, are refused.
+//! This one draws a bar that moves to the right; a real one would copy what its driver hands it, or
+//! have the driver write in place ([`FramePublisher::loan`](trocar_topics::FramePublisher::loan)).
+//! A frame is of the size that the policy was trained with, and its stamp is the time of its
+//! exposure on `CLOCK_MONOTONIC`: frames that are older than 0.5 s, or further ahead than 40 ms,
+//! are refused.
 
 use hal::{Intrinsics, Pose, TICK_NS};
 use trocar::rt::{self, MonotonicClock, Periodic};
@@ -23,8 +27,8 @@ const FRAME_NS: u64 = 40 * TICK_NS;
 /// Distance of everything that is seen, m.
 const DEPTH_M: f32 = 0.1;
 
-/// Publishes frames of `side` by `side` pixels of the camera `name` on `topics`, until `ends` says so of their number or a signal comes;
-/// gives how many it published.
+/// Publishes frames of `side` by `side` pixels of the camera `name` on `topics`, until `ends` says
+/// so of their number or a signal comes; gives how many it published.
 ///
 /// # Errors
 /// [`TopicError`]: no shared memory, or another publisher of this camera.

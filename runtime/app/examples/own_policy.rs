@@ -1,11 +1,12 @@
-//! A policy of one's own in the simulator, in one episode and in an evaluation: anything that answers an observation with a chunk.
+//! A policy of one's own in the simulator, in one episode and in an evaluation: anything that
+//! answers an observation with a chunk.
 //!
 //! ```sh
 //! cargo run --release --example own_policy
 //! ```
 //!
-//! This one moves the tip on a circle of 1 cm and looks at no camera. It lifts no needle; what it wants passes the same filter, smoother
-//! and guard as anybody's.
+//! This one moves the tip on a circle of 1 cm and looks at no camera. It lifts no needle; what it
+//! wants passes the same filter, smoother and guard as anybody's.
 
 use hal::count::{count_u32, index};
 use hal::{Chunk, Observation, Policy, PolicyError, TipTarget};

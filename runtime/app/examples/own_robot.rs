@@ -1,15 +1,18 @@
-//! A robot of one's own in real time, with a policy of one's own or a trained one: whatever can be measured and told where to be, once a millisecond.
+//! A robot of one's own in real time, with a policy of one's own or a trained one: whatever can be
+//! measured and told where to be, once a millisecond.
 //!
 //! ```sh
 //! cargo run --release -p trocar --example own_robot
 //! cargo run --release -p trocar --example own_robot -- config/policies/needle-lift/act-compact cameras
 //! ```
 //!
-//! The second is a committed policy, which looks through the endoscope on the topics `cameras`: `own_camera.rs` publishes one, of 512 pixels.
+//! The second is a committed policy, which looks through the endoscope on the topics `cameras`:
+//! `own_camera.rs` publishes one, of 512 pixels.
 //!
-//! This one follows its command with a lag of 5 ms; a real one would talk to its drives in `exchange`. What the policy wants passes the same
-//! filter, smoother and guard as anybody's, under the limits of `config/tasks/needle-lift/safety.toml`, and the run is in a log that
-//! `trocar verify` and `trocar replay` take.
+//! This one follows its command with a lag of 5 ms; a real one would talk to its drives in
+//! `exchange`. What the policy wants passes the same filter, smoother and guard as anybody's, under
+//! the limits of `config/tasks/needle-lift/safety.toml`, and the run is in a log that `trocar
+//! verify` and `trocar replay` take.
 
 use std::path::{Path, PathBuf};
 

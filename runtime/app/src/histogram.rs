@@ -1,4 +1,5 @@
-//! Hot path: bounded, no allocation, no I/O, no lock. Durations counted in buckets, for percentiles.
+//! Hot path: bounded, no allocation, no I/O, no lock. Durations counted in buckets, for
+//! percentiles.
 //!
 //! Buckets are exact below 64 ns and at most 1/32 (3.2 %) wide above, over all of `u64`.
 
@@ -87,15 +88,16 @@ impl Histogram {
             .unwrap_or(0)
     }
 
-    /// The buckets that hold any durations, in ascending order: the largest that each counts, ns, and how many it has.
+    /// The buckets that hold any durations, in ascending order: the largest that each counts, ns,
+    /// and how many it has.
     pub fn buckets(&self) -> impl Iterator<Item = (u64, u64)> {
         let held = self.counts.iter().enumerate();
         let held = held.filter(|(_, count)| **count > 0);
         held.map(|(bucket, count)| (last_of(bucket), *count))
     }
 
-    /// The least duration, ns, that a `fraction` (0 to 1) of all do not exceed; up to 3.2 % above it, never above the
-    /// longest. 0 if there is none.
+    /// The least duration, ns, that a `fraction` (0 to 1) of all do not exceed; up to 3.2 % above
+    /// it, never above the longest. 0 if there is none.
     #[must_use]
     pub fn percentile(&self, fraction: f64) -> u64 {
         let rank = rank(fraction, self.count);

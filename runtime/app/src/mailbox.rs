@@ -1,9 +1,11 @@
-//! Hot path: bounded, no allocation, no I/O, never waits. The newest value from one thread to another.
+//! Hot path: bounded, no allocation, no I/O, never waits. The newest value from one thread to
+//! another.
 //!
-//! A triple buffer: the writer owns one slot, the reader another, and the third lies between them; handing over is one
-//! atomic swap of slot numbers. Each slot sits in a mutex only so that no unsafe code is needed: a slot number is held by
-//! one side at a time, so its lock is always free and taking it is a single compare-and-swap. (A queue such as `rtrb`
-//! does not fit: when it is full the newest value is the one that is lost.)
+//! A triple buffer: the writer owns one slot, the reader another, and the third lies between them;
+//! handing over is one atomic swap of slot numbers. Each slot sits in a mutex only so that no
+//! unsafe code is needed: a slot number is held by one side at a time, so its lock is always free
+//! and taking it is a single compare-and-swap. (A queue such as `rtrb` does not fit: when it is
+//! full the newest value is the one that is lost.)
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, TryLockError};

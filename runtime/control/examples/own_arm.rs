@@ -1,11 +1,13 @@
-//! An arm of your own behind the controller: anything that can be measured and given a set-point once a millisecond.
+//! An arm of your own behind the controller: anything that can be measured and given a set-point
+//! once a millisecond.
 //!
 //! ```sh
 //! cargo run -p trocar-control --example own_arm
 //! ```
 //!
-//! This one follows its command with a delay of 5 ms. The crate has no clock, so that the caller says what time it is: here time is counted,
-//! on a robot a real-time thread waits for each millisecond.
+//! This one follows its command with a delay of 5 ms. The crate has no clock, so that the caller
+//! says what time it is: here time is counted, on a robot a real-time thread waits for each
+//! millisecond.
 
 use std::error::Error;
 

@@ -1,12 +1,16 @@
-//! An exact solver for the small dense convex problems of the safety filter. Hot path: bounded, no allocation, no I/O, no lock.
+//! An exact solver for the small dense convex problems of the safety filter. Hot path: bounded, no
+//! allocation, no I/O, no lock.
 //!
-//! Minimise `d' G d / 2` over the change `d`, subject to rows `c . d <= b` and cones `|M d + o| <= r`.
+//! Minimise `d' G d / 2` over the change `d`, subject to rows `c . d <= b` and cones `|M d + o| <=
+//! r`.
 //!
-//! The rows are met by the dual active-set method of Goldfarb and Idnani (1983): from the unconstrained optimum `d = 0` one
-//! violated row after the other becomes active, and rows whose multiplier falls to zero leave. The cones follow by a sequence
-//! of quadratic models: each cone is replaced by the half-space that supports it at the last point, and its multiplier times
-//! its curvature is added to `G`. The same method solves each model, starting with the rows that were active before. This is
-//! Newton's method with inequalities, so the last steps converge quadratically.
+//! The rows are met by the dual active-set method of Goldfarb and Idnani (1983): from the
+//! unconstrained optimum `d = 0` one violated row after the other becomes active, and rows whose
+//! multiplier falls to zero leave. The cones follow by a sequence of quadratic models: each cone is
+//! replaced by the half-space that supports it at the last point, and its multiplier times its
+//! curvature is added to `G`. The same method solves each model, starting with the rows that were
+//! active before. This is Newton's method with inequalities, so the last steps converge
+//! quadratically.
 //!
 //! A variable that no active row reaches, directly or through `G`, changes by exactly zero.
 
@@ -107,7 +111,8 @@ impl ActiveSet {
 
     /// The minimum over the first `variables` variables.
     ///
-    /// `hessian` is symmetric; its leading part counts. The same arguments give the same bits, whatever was solved before.
+    /// `hessian` is symmetric; its leading part counts. The same arguments give the same bits,
+    /// whatever was solved before.
     ///
     /// # Errors
     /// [`Failure`]; nothing is known about the change then.

@@ -1,8 +1,8 @@
-//! Overlapping chunks to one target: temporal aggregation, indexed by time. Hot path: bounded, no allocation, no I/O, no
-//! lock.
+//! Overlapping chunks to one target: temporal aggregation, indexed by time. Hot path: bounded, no
+//! allocation, no I/O, no lock.
 //!
-//! Source: ACT's temporal ensembling (weights `exp(-m i)`, `i = 0` the oldest prediction), by due time instead of by query
-//! count, so that late and missing chunks do no harm.
+//! Source: ACT's temporal ensembling (weights `exp(-m i)`, `i = 0` the oldest prediction), by due
+//! time instead of by query count, so that late and missing chunks do no harm.
 
 use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{ARMS_MAX, Chunk, TimeNs, TipTarget, count};
@@ -13,7 +13,8 @@ use super::snapshot::{HELD_MAX, Reader, Snapshot, SnapshotError, Words as _, lay
 /// Chunks that are kept: as many as can cover one instant when a policy answers every step.
 const RING: usize = CHUNK_STEPS_MAX;
 
-/// Above this cosine of half the angle, normalised linear interpolation is as even as the spherical one to 1e-6.
+/// Above this cosine of half the angle, normalised linear interpolation is as even as the spherical
+/// one to 1e-6.
 const NEARLY_PARALLEL: f64 = 0.9995;
 
 /// How overlapping chunks become one target.
@@ -109,9 +110,11 @@ impl Aggregator {
         })
     }
 
-    /// Where the tip should be at `at`, and where the same chunks want it at `ahead`, which is not before `at`.
+    /// Where the tip should be at `at`, and where the same chunks want it at `ahead`, which is not
+    /// before `at`.
     ///
-    /// A chunk that ends between the two stays at its last target. `None` past the horizon of every chunk.
+    /// A chunk that ends between the two stays at its last target. `None` past the horizon of every
+    /// chunk.
     #[must_use]
     pub fn targets(&self, at: TimeNs, ahead: TimeNs) -> Option<(TipTarget, TipTarget)> {
         let both = |chunk: &Chunk| Some((in_chunk(chunk, at)?, in_chunk_or_last(chunk, ahead)?));
@@ -133,7 +136,8 @@ impl Aggregator {
         (begin..begin + self.count).map(|slot| slot % RING)
     }
 
-    /// Adds the state at the tick `newest` to a snapshot: of chunks those whose horizon has not passed, and the newest one, whose age counts.
+    /// Adds the state at the tick `newest` to a snapshot: of chunks those whose horizon has not
+    /// passed, and the newest one, whose age counts.
     pub(super) fn save(&self, arm: usize, newest: TimeNs, to: &mut Snapshot) {
         let Self {
             mode: _,
@@ -217,7 +221,8 @@ fn blank() -> Chunk {
     Chunk::new(TimeNs(0), 0, hal::TICK_NS, &[])
 }
 
-/// A weighted mean of targets: positions by weight, rotations on the sphere, the jaw from the newest.
+/// A weighted mean of targets: positions by weight, rotations on the sphere, the jaw from the
+/// newest.
 #[derive(Clone, Copy, Debug, Default)]
 struct Blend {
     weight: f64,
@@ -303,7 +308,8 @@ fn in_chunk_or_last(chunk: &Chunk, at: TimeNs) -> Option<TipTarget> {
     })
 }
 
-/// The weights of the two ends of an arc whose angle has this cosine, at `fraction` of it; a line's where they are nearly parallel.
+/// The weights of the two ends of an arc whose angle has this cosine, at `fraction` of it; a line's
+/// where they are nearly parallel.
 fn arc_weights(cosine: f64, fraction: f64) -> (f64, f64) {
     if cosine > NEARLY_PARALLEL {
         return (1.0 - fraction, fraction);

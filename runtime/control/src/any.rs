@@ -1,4 +1,5 @@
-//! The controller of as many arms as the configuration has. Hot path: bounded, no allocation, no I/O, no clock, no lock.
+//! The controller of as many arms as the configuration has. Hot path: bounded, no allocation, no
+//! I/O, no clock, no lock.
 
 use super::config::ControlConfig;
 use super::controller::{Controller, ControllerError};
@@ -43,8 +44,8 @@ impl AnyController {
     /// One control period of all arms, as [`Controller::tick_arms`].
     ///
     /// # Panics
-    /// If `inputs` have another number of arms than [`Self::arm_count`]: who has them from a log, or from a rig of another's, compares the
-    /// numbers first.
+    /// If `inputs` have another number of arms than [`Self::arm_count`]: who has them from a log,
+    /// or from a rig of another's, compares the numbers first.
     #[expect(clippy::panic, reason = "the caller compares the numbers first")]
     pub fn tick(&mut self, inputs: &PerArm<TickInput<'_>>) -> PerArm<TickOutput> {
         match (self, inputs.second) {

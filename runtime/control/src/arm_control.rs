@@ -1,5 +1,5 @@
-//! One arm of a controller: its mode and faults, its chunks, and its nominal velocity. Hot path: bounded, no
-//! allocation, no I/O, no lock.
+//! One arm of a controller: its mode and faults, its chunks, and its nominal velocity. Hot path:
+//! bounded, no allocation, no I/O, no lock.
 
 use hal::{ArmError, ArmState, Chunk, TICK_NS, TimeNs, TipTarget};
 
@@ -37,7 +37,8 @@ pub(super) struct ArmControl {
     /// The operator's share of the speed limits.
     speed: f64,
     following_error_max: FollowingError,
-    /// How far the measured instrument is from the commanded one, or was within about the longest stop; none without torque.
+    /// How far the measured instrument is from the commanded one, or was within about the longest
+    /// stop; none without torque.
     pub(super) deviation: Deviation,
     /// The largest deviation of any part of the instrument since the start, m.
     pub(super) following_error_m: f64,
@@ -72,7 +73,8 @@ impl Plan {
     };
 }
 
-// The aggregator's is beside it, since chunks are not words; where the instrument is measured is found in each tick before it counts.
+// The aggregator's is beside it, since chunks are not words; where the instrument is measured is
+// found in each tick before it counts.
 state!(ArmControl {
     state: OperatingState,
     homed: bool,
@@ -156,8 +158,8 @@ impl ArmControl {
         }
     }
 
-    /// Checks the measurement and applies the operator's event; without torque the command follows the arm. Returns whether
-    /// it does, so that the guard is seeded there.
+    /// Checks the measurement and applies the operator's event; without torque the command follows
+    /// the arm. Returns whether it does, so that the guard is seeded there.
     pub(super) fn observe(&mut self, input: &TickInput<'_>) -> bool {
         let follows = self.look_at(&input.measured);
         if let Some(event) = input.operator {
@@ -254,7 +256,8 @@ impl ArmControl {
         }
     }
 
-    /// Accepts the chunk and computes the nominal velocity towards its target; an arm that is not enabled comes to rest.
+    /// Accepts the chunk and computes the nominal velocity towards its target; an arm that is not
+    /// enabled comes to rest.
     pub(super) fn plan(&mut self, input: &TickInput<'_>, stance: &KinematicState) -> Plan {
         if self.state != OperatingState::Enabled {
             return Plan::AT_REST;
@@ -295,7 +298,8 @@ impl ArmControl {
         self.aggregator.targets(now, now.plus_ns(self.lookahead_ns))
     }
 
-    /// The share of the speed limits that holds: the operator's, and less right after the arm was enabled.
+    /// The share of the speed limits that holds: the operator's, and less right after the arm was
+    /// enabled.
     fn pace(&self, now: TimeNs) -> f64 {
         let since_s = TimeNs(now.since(self.enabled_at)).seconds();
         let ramp_s = TimeNs(self.soft_start_ns).seconds();
@@ -307,8 +311,8 @@ impl ArmControl {
         self.speed * start
     }
 
-    /// At rest, removes torque where the state requires it: an arm that lost a measurement keeps its grip; one with a following
-    /// error, or whose drives failed, is released.
+    /// At rest, removes torque where the state requires it: an arm that lost a measurement keeps
+    /// its grip; one with a following error, or whose drives failed, is released.
     pub(super) fn release(&mut self) {
         let releases = match self.state {
             OperatingState::Disabled => true,

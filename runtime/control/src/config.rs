@@ -1,4 +1,5 @@
-//! The controller's configuration: `config/control.toml` and a task's `safety.toml`, parsed once and checked once.
+//! The controller's configuration: `config/control.toml` and a task's `safety.toml`, parsed once
+//! and checked once.
 
 mod lag;
 mod scene;
@@ -46,9 +47,11 @@ pub struct ControlConfig {
     pub margins: Margins,
     /// Deviation of the measured tip from the commanded one at which the controller faults.
     pub following_error_max: FollowingError,
-    /// Whether a run in real time ends with a fault, or its arms hold until the operator clears it. For whoever calls the controller.
+    /// Whether a run in real time ends with a fault, or its arms hold until the operator clears it.
+    /// For whoever calls the controller.
     pub fault_ends_run: bool,
-    /// What becomes of a policy process that dies or hangs. The controller knows no processes: it is for whoever calls it.
+    /// What becomes of a policy process that dies or hangs. The controller knows no processes: it
+    /// is for whoever calls it.
     pub supervision: Supervision,
     /// Measured closing effort of the jaw at which it closes no further, N m.
     pub jaw_closing_effort_n_m_max: f64,
@@ -67,7 +70,8 @@ pub struct Supervision {
     pub backoff_ns: u64,
     /// How long it may take to be ready again, and an external policy to come back, ns.
     pub return_ns: u64,
-    /// For how long a camera of a robot may show the very same pixels, however often it stamps them, ns; any time if not given.
+    /// For how long a camera of a robot may show the very same pixels, however often it stamps
+    /// them, ns; any time if not given.
     pub frozen_ns: Option<u64>,
 }
 
@@ -106,7 +110,8 @@ pub struct Margins {
     pub recovery_m: f64,
 }
 
-/// Least gaps between the surfaces of two instruments, m. Two tips may meet: handing over is their work.
+/// Least gaps between the surfaces of two instruments, m. Two tips may meet: handing over is their
+/// work.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BetweenArms {
     /// Between the shafts.

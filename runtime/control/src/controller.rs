@@ -1,4 +1,5 @@
-//! The tick: measured arms and newest chunks in, commands out. Hot path: bounded, no allocation, no I/O, no clock, no lock.
+//! The tick: measured arms and newest chunks in, commands out. Hot path: bounded, no allocation, no
+//! I/O, no clock, no lock.
 
 use hal::tail::{AxisPoint, AxisTail, SafeTail, TailPhase};
 use hal::{Chunk, JointVector, Pose, TICK_NS, TICK_S, TimeNs};
@@ -19,10 +20,12 @@ use super::snapshot::{
 use super::stop::Remainder;
 use crate::kinematics::forward;
 
-/// The controller of one arm or of two that share a scene: aggregate, inverse kinematics, filter, smoother, guard.
+/// The controller of one arm or of two that share a scene: aggregate, inverse kinematics, filter,
+/// smoother, guard.
 ///
-/// An arm starts disabled and follows the measured arm until the operator enables it, so that the first command is where the
-/// arm is. A fault of one arm pauses the other. The same inputs give the same commands, bit for bit.
+/// An arm starts disabled and follows the measured arm until the operator enables it, so that the
+/// first command is where the arm is. A fault of one arm pauses the other. The same inputs give the
+/// same commands, bit for bit.
 #[derive(Debug)]
 pub struct Controller<const ARMS: usize = 1> {
     pub(super) arms: [ArmControl; ARMS],
@@ -94,7 +97,8 @@ impl<const ARMS: usize> Controller<ARMS> {
     /// A disabled controller of as many arms as `config` has; this allocates all that a tick needs.
     ///
     /// # Errors
-    /// [`ControllerError`] if the configuration has another number of arms, or the number is not one or two.
+    /// [`ControllerError`] if the configuration has another number of arms, or the number is not
+    /// one or two.
     pub fn for_arms(config: &ControlConfig) -> Result<Self, ControllerError> {
         let configured = config.arms.len();
         if configured != ARMS {
@@ -128,13 +132,15 @@ impl<const ARMS: usize> Controller<ARMS> {
         self.filter.solution()
     }
 
-    /// How near each measured arm came to its boundaries while it held torque. For the end of a run: it allocates.
+    /// How near each measured arm came to its boundaries while it held torque. For the end of a
+    /// run: it allocates.
     #[must_use]
     pub fn measured_clearances(&self) -> Vec<MeasuredClearance> {
         self.guard.measured(&self.config)
     }
 
-    /// The largest distance of each arm between a measured part of its instrument and where that was commanded to be, m.
+    /// The largest distance of each arm between a measured part of its instrument and where that
+    /// was commanded to be, m.
     #[must_use]
     pub fn following_errors_m(&self) -> [f64; ARMS] {
         self.arms.each_ref().map(|arm| arm.following_error_m)
@@ -147,8 +153,9 @@ impl<const ARMS: usize> Controller<ARMS> {
         Stateful::save(self, to);
     }
 
-    /// Goes on from the state in `snapshot`, taken of a controller that was built from the same configuration: from the same inputs follow the
-    /// same bits. `chunks` are those of [`Snapshot::held`], in the same order.
+    /// Goes on from the state in `snapshot`, taken of a controller that was built from the same
+    /// configuration: from the same inputs follow the same bits. `chunks` are those of
+    /// [`Snapshot::held`], in the same order.
     ///
     /// # Errors
     /// [`SnapshotError`]; the controller is of no use then.
@@ -167,7 +174,8 @@ impl<const ARMS: usize> Controller<ARMS> {
 
     /// One control period of all arms, which share one `now`.
     ///
-    /// For periods missed since the newest tick the rig has played the tail; the controller goes on from there.
+    /// For periods missed since the newest tick the rig has played the tail; the controller goes on
+    /// from there.
     pub fn tick_arms(&mut self, inputs: &[TickInput<'_>; ARMS]) -> [TickOutput; ARMS] {
         const { assert!(ARMS > 0) };
         self.catch_up(inputs[0].now);
@@ -213,7 +221,8 @@ impl<const ARMS: usize> Controller<ARMS> {
         }
     }
 
-    /// The scene is shared: where one arm has a fault the other comes to rest and waits for the operator.
+    /// The scene is shared: where one arm has a fault the other comes to rest and waits for the
+    /// operator.
     fn pause_beside_a_fault(&mut self, inputs: &[TickInput<'_>; ARMS]) {
         let fault = |arm: &ArmControl| arm.state == OperatingState::Fault;
         if self.arms.iter().any(fault) {

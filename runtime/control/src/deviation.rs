@@ -1,4 +1,5 @@
-//! How far a measured instrument is from the commanded one. Hot path: bounded, no allocation, no I/O, no lock.
+//! How far a measured instrument is from the commanded one. Hot path: bounded, no allocation, no
+//! I/O, no lock.
 
 use nalgebra::Vector3;
 

@@ -1,7 +1,8 @@
-//! How near a segment is to a shape or to another segment, exactly. Hot path: bounded, no allocation, no I/O, no lock.
+//! How near a segment is to a shape or to another segment, exactly. Hot path: bounded, no
+//! allocation, no I/O, no lock.
 //!
-//! All shapes are convex, so each distance along a segment is a convex function whose least value follows from a bounded
-//! number of places: nothing here iterates.
+//! All shapes are convex, so each distance along a segment is a convex function whose least value
+//! follows from a bounded number of places: nothing here iterates.
 
 mod block;
 
@@ -102,8 +103,8 @@ impl Shape {
 }
 
 impl Block {
-    /// How far `point_m` is inside each face, m, negative beyond it: the three low faces along the block's own axes, then
-    /// the three high ones.
+    /// How far `point_m` is inside each face, m, negative beyond it: the three low faces along the
+    /// block's own axes, then the three high ones.
     #[must_use]
     pub fn clearances_m(&self, point_m: &Vector3<f64>) -> [f64; 6] {
         let place_m = self.axes.inverse() * (point_m - self.center_m);
@@ -168,8 +169,9 @@ pub fn distance_between_m(
 
 /// How far along each of two segments they are nearest to one another.
 ///
-/// The squared distance is a convex quadratic of the two fractions. It is least where both derivatives vanish or, if that is
-/// off the segments or they are parallel, where one of the four ends is nearest to the other segment.
+/// The squared distance is a convex quadratic of the two fractions. It is least where both
+/// derivatives vanish or, if that is off the segments or they are parallel, where one of the four
+/// ends is nearest to the other segment.
 fn fractions_nearest(
     [a_from_m, a_to_m]: [&Vector3<f64>; 2],
     [b_from_m, b_to_m]: [&Vector3<f64>; 2],
@@ -197,7 +199,8 @@ fn fractions_nearest(
     })
 }
 
-/// The fractions at which the lines through two segments are nearest, if they are not parallel and that lies on both segments.
+/// The fractions at which the lines through two segments are nearest, if they are not parallel and
+/// that lies on both segments.
 fn lines_nearest(offset: &Vector3<f64>, a: &Vector3<f64>, b: &Vector3<f64>) -> Option<(f64, f64)> {
     let across = a.cross(b);
     let squared = across.norm_squared();

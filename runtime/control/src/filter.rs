@@ -1,9 +1,10 @@
-//! The safety filter: the velocities nearest to the wanted ones that satisfy every row. Hot path: bounded, no allocation, no
-//! I/O, no lock.
+//! The safety filter: the velocities nearest to the wanted ones that satisfy every row. Hot path:
+//! bounded, no allocation, no I/O, no lock.
 //!
-//! In units of the axes' velocity limits, `x = u / v_max`: minimise the change of each tip's twist plus a little of the joints'
-//! and all of the jaw's, `d' P d / 2` with `d = x - x_nominal`, subject to the rows of [`super::rows`]. Two arms are one problem,
-//! coupled by the rows between them. The tip's speed and angular speed are second-order cones.
+//! In units of the axes' velocity limits, `x = u / v_max`: minimise the change of each tip's twist
+//! plus a little of the joints' and all of the jaw's, `d' P d / 2` with `d = x - x_nominal`,
+//! subject to the rows of [`super::rows`]. Two arms are one problem, coupled by the rows between
+//! them. The tip's speed and angular speed are second-order cones.
 
 use nalgebra::SMatrix;
 
@@ -35,8 +36,8 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// The rows that `change` touches, in the order of [`names`](super::rows::names). An axis that may not move at all touches none: it is
-    /// given, not limited.
+    /// The rows that `change` touches, in the order of [`names`](super::rows::names). An axis that
+    /// may not move at all touches none: it is given, not limited.
     pub fn active<'a>(&'a self, change: &'a Velocities) -> impl Iterator<Item = usize> + 'a {
         let touches =
             move |row: &LinearRow| dot(&row.coefficients, change) >= row.bound - ACTIVE_TOLERANCE;

@@ -1,5 +1,5 @@
-//! The input gate: no chunk gets further unless every number in it makes sense. Hot path: bounded, no allocation, no I/O,
-//! no lock.
+//! The input gate: no chunk gets further unless every number in it makes sense. Hot path: bounded,
+//! no allocation, no I/O, no lock.
 
 use hal::{Chunk, Pose, TICK_NS, TimeNs, TipTarget, count};
 use nalgebra::Vector3;
@@ -48,7 +48,8 @@ pub enum GateDecision {
     },
     /// It answers an observation that lies ahead.
     FromTheFuture,
-    /// It answers an observation that is too old or from before [`Gate::begin_anew`], or its last target was due already.
+    /// It answers an observation that is too old or from before [`Gate::begin_anew`], or its last
+    /// target was due already.
     Stale {
         /// Age of the observation, ns.
         age_ns: u64,
@@ -129,13 +130,15 @@ impl Gate {
         self.held = false;
     }
 
-    /// Forgets the order of the chunks so far; what answers an observation from before `now` is stale from now on.
+    /// Forgets the order of the chunks so far; what answers an observation from before `now` is
+    /// stale from now on.
     pub fn begin_anew(&mut self, now: TimeNs) {
         self.forget();
         self.not_before = now;
     }
 
-    /// The next chunk that is let through starts where the arm is: the arm was held since nobody answered.
+    /// The next chunk that is let through starts where the arm is: the arm was held since nobody
+    /// answered.
     pub fn go_on(&mut self) {
         self.held = true;
     }
@@ -215,7 +218,8 @@ impl Gate {
         GateDecision::Accepted
     }
 
-    /// Whether `chunk` is one that the gate may have let through at `newest` or before: as for its form, at any time.
+    /// Whether `chunk` is one that the gate may have let through at `newest` or before: as for its
+    /// form, at any time.
     pub(super) fn may_have_accepted(&self, chunk: &Chunk, newest: TimeNs) -> bool {
         let targets = chunk.valid_targets();
         !targets.is_empty()

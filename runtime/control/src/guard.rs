@@ -1,38 +1,45 @@
-//! The guard: a command leaves only if the stop after it is verified. Hot path: bounded, no allocation, no I/O, no lock.
+//! The guard: a command leaves only if the stop after it is verified. Hot path: bounded, no
+//! allocation, no I/O, no lock.
 //!
-//! It depends neither on the filter, whose rows it does not share, nor on the smoother, and it is right by induction. For each
-//! arm it holds a jerk-limited stop and how much of it has been played; the arm is commanded to be there. At every moment
+//! It depends neither on the filter, whose rows it does not share, nor on the smoother, and it is
+//! right by induction. For each arm it holds a jerk-limited stop and how much of it has been
+//! played; the arm is commanded to be there. At every moment
 //!
-//! 1. along what is left of each held stop every joint range, velocity, acceleration, clearance and tip speed is kept, with
-//!    bounds for what lies between the samples (`bounds`, `way`);
-//! 2. of two arms, no point of what is left of the one's stop is nearer to any point of what is left of the other's than they
-//!    may be, at whatever times they are there (`pair`).
+//! 1. along what is left of each held stop every joint range, velocity, acceleration, clearance and
+//!    tip speed is kept, with bounds for what lies between the samples (`bounds`, `way`);
+//! 2. of two arms, no point of what is left of the one's stop is nearer to any point of what is
+//!    left of the other's than they may be, at whatever times they are there (`pair`).
 //!
-//! *Base.* [`Guard::new`] and [`Guard::seed`] hold an arm where it rests. Its stop is one point, and floors and ranges are
-//! set to what that point keeps (`floor`); a pair's floors are moved with what the arm takes from or gives to what is left of
-//! the other arm's stop, so that an arm may be seeded while the other moves.
+//! *Base.* [`Guard::new`] and [`Guard::seed`] hold an arm where it rests. Its stop is one point,
+//! and floors and ranges are set to what that point keeps (`floor`); a pair's floors are moved with
+//! what the arm takes from or gives to what is left of the other arm's stop, so that an arm may be
+//! seeded while the other moves.
 //!
 //! *Step.* In [`Guard::next`] each arm does one of two things.
-//! * It plays its held stop by one tick. What is left is a part of what was left, so 1 and 2 stay true, whatever the other arm
-//!   plays.
-//! * It takes a candidate, which must follow from the current state within the jerk limit. The stop from the candidate has
-//!   been verified against 1, and against 2 with what the other arm will hold after this tick: the stop of its own candidate if
-//!   both are taken together, otherwise what is left of its held stop.
+//! * It plays its held stop by one tick. What is left is a part of what was left, so 1 and 2 stay
+//!   true, whatever the other arm plays.
+//! * It takes a candidate, which must follow from the current state within the jerk limit. The stop
+//!   from the candidate has been verified against 1, and against 2 with what the other arm will
+//!   hold after this tick: the stop of its own candidate if both are taken together, otherwise what
+//!   is left of its held stop.
 //!
-//! *Floors.* A boundary that an arm was enabled beyond moves to where it is, and comes back behind it. A floor is only ever
-//! raised to less than what the stop that is held from then on keeps, so raising it breaks neither 1 nor 2.
+//! *Floors.* A boundary that an arm was enabled beyond moves to where it is, and comes back behind
+//! it. A floor is only ever raised to less than what the stop that is held from then on keeps, so
+//! raising it breaks neither 1 nor 2.
 //!
-//! *Deviation.* The measured arm is not where the commanded one is. A candidate's stop keeps the margin and how far each link is off, or
-//! was within about the longest stop (`Guard::observe`); where the stops before it kept less, because the deviation grew, it comes no
-//! nearer than they did. Only candidates must keep it: a held stop is played to its end however the deviation grows, so neither 1
-//! nor 2 depends on it.
+//! *Deviation.* The measured arm is not where the commanded one is. A candidate's stop keeps the
+//! margin and how far each link is off, or was within about the longest stop (`Guard::observe`);
+//! where the stops before it kept less, because the deviation grew, it comes no nearer than they
+//! did. Only candidates must keep it: a held stop is played to its end however the deviation grows,
+//! so neither 1 nor 2 depends on it.
 //!
-//! So either arm may stop at any tick, alone or with the other, be late in playing its stop, or be stopped by an operator:
-//! nothing has to be checked for it any more. Candidates never need each other: if both together are refused, each is tried
-//! alone, first the one and then in the next tick the other, so that neither arm starves.
+//! So either arm may stop at any tick, alone or with the other, be late in playing its stop, or be
+//! stopped by an operator: nothing has to be checked for it any more. Candidates never need each
+//! other: if both together are refused, each is tried alone, first the one and then in the next
+//! tick the other, so that neither arm starves.
 //!
-//! Between two ticks a drive goes straight from one setpoint to the next; both are verified, and what lies between is a tick's
-//! way from either at most, which the margin must hold.
+//! Between two ticks a drive goes straight from one setpoint to the next; both are verified, and
+//! what lies between is a tick's way from either at most, which the margin must hold.
 
 mod arm;
 mod bounds;
@@ -157,11 +164,12 @@ impl<const ARMS: usize> Stateful for Guard<ARMS> {
 }
 
 impl<const ARMS: usize> Guard<ARMS> {
-    /// A guard that holds the first `ARMS` arms of `config` at `states`, at rest. Further arms are left out.
+    /// A guard that holds the first `ARMS` arms of `config` at `states`, at rest. Further arms are
+    /// left out.
     ///
     /// # Errors
-    /// [`GuardError`] if the configuration has fewer arms, too many regions, or two arms and nothing between them, or if
-    /// `ARMS` is not 1 or 2.
+    /// [`GuardError`] if the configuration has fewer arms, too many regions, or two arms and
+    /// nothing between them, or if `ARMS` is not 1 or 2.
     pub fn new(
         config: &ControlConfig,
         states: &[MotionState; ARMS],
@@ -202,9 +210,10 @@ impl<const ARMS: usize> Guard<ARMS> {
 
     /// Starts anew for one arm from where `state` is, at rest.
     ///
-    /// An arm that is within a boundary stays within it, even if it starts without the margin. Where the arm is beyond a
-    /// boundary already, that boundary moves behind the arm by the margin for recovery. Either comes back with the arm. What
-    /// two arms keep between them moves by as much as the arm was moved, and so a seed gives the other arm no way.
+    /// An arm that is within a boundary stays within it, even if it starts without the margin.
+    /// Where the arm is beyond a boundary already, that boundary moves behind the arm by the margin
+    /// for recovery. Either comes back with the arm. What two arms keep between them moves by as
+    /// much as the arm was moved, and so a seed gives the other arm no way.
     ///
     /// # Panics
     /// If there is no such arm.
@@ -218,10 +227,11 @@ impl<const ARMS: usize> Guard<ARMS> {
         }
     }
 
-    /// Stores the deviation of each measured arm from the commanded one, and the pose of those that hold torque.
+    /// Stores the deviation of each measured arm from the commanded one, and the pose of those that
+    /// hold torque.
     ///
-    /// Until the next call a candidate's stop keeps that much more than the margin from each boundary and from the other arm, or as much of
-    /// it as the stops before it kept.
+    /// Until the next call a candidate's stop keeps that much more than the margin from each
+    /// boundary and from the other arm, or as much of it as the stops before it kept.
     pub fn observe(&mut self, arms: &[(Deviation, Option<Instrument>); ARMS]) {
         for (arm, (deviation, measured)) in self.arms.iter_mut().zip(arms) {
             arm.observe(deviation, measured.as_ref());
@@ -242,7 +252,8 @@ impl<const ARMS: usize> Guard<ARMS> {
         self.arms.each_ref().map(|arm| arm.deviation)
     }
 
-    /// How near each measured arm came to its boundaries, and both to one another, while they held torque. Allocates.
+    /// How near each measured arm came to its boundaries, and both to one another, while they held
+    /// torque. Allocates.
     #[must_use]
     pub fn measured(&self, config: &ControlConfig) -> Vec<MeasuredClearance> {
         let arms = self.arms.iter().enumerate();
@@ -274,8 +285,8 @@ impl<const ARMS: usize> Guard<ARMS> {
         self.arms.each_ref().map(ArmGuard::held)
     }
 
-    /// The next states: for each arm the one that it asks for, if it follows from its `current` one within the limits and
-    /// its stop is verified, otherwise the next one of the stop that is held.
+    /// The next states: for each arm the one that it asks for, if it follows from its `current` one
+    /// within the limits and its stop is verified, otherwise the next one of the stop that is held.
     ///
     /// `current` is what the last call decided or, after that, [`Self::seed`] was given.
     pub fn next(
@@ -310,7 +321,8 @@ impl<const ARMS: usize> Guard<ARMS> {
         })
     }
 
-    /// Which of the candidates whose own stops are verified may be taken together with what the other arm does then.
+    /// Which of the candidates whose own stops are verified may be taken together with what the
+    /// other arm does then.
     fn take(&mut self, verified: [bool; ARMS]) -> [bool; ARMS] {
         let (Some(pair), [first, second]) = (&mut self.pair, self.arms.as_slice()) else {
             return verified;

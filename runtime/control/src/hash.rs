@@ -1,4 +1,5 @@
-//! One number for all commands of a run, and one for all inputs. Hot path: bounded, no allocation, no I/O, no lock.
+//! One number for all commands of a run, and one for all inputs. Hot path: bounded, no allocation,
+//! no I/O, no lock.
 
 use hal::{ArmCommand, ArmError, ArmState, Chunk, TimeNs};
 
@@ -29,8 +30,8 @@ impl Fnv1a {
     }
 }
 
-/// FNV-1a, 64 bits, over the bits of every command: two runs are the same if and only if their hashes are (but for a
-/// collision).
+/// FNV-1a, 64 bits, over the bits of every command: two runs are the same if and only if their
+/// hashes are (but for a collision).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CommandHash(Fnv1a);
 
@@ -47,7 +48,8 @@ impl CommandHash {
         Self(Fnv1a(value))
     }
 
-    /// Takes in one command: stamp, joint positions and velocities, jaw, and whether the drives hold torque.
+    /// Takes in one command: stamp, joint positions and velocities, jaw, and whether the drives
+    /// hold torque.
     pub fn add(&mut self, command: &ArmCommand) {
         let Self(hash) = self;
         hash.word(command.stamp.0);
@@ -69,8 +71,8 @@ impl Default for CommandHash {
     }
 }
 
-/// FNV-1a, 64 bits, over the bits of everything that the controller was given: two runs saw the same if and only if their
-/// hashes are the same (but for a collision).
+/// FNV-1a, 64 bits, over the bits of everything that the controller was given: two runs saw the
+/// same if and only if their hashes are the same (but for a collision).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputHash(Fnv1a);
 
@@ -87,10 +89,12 @@ impl InputHash {
         Self(Fnv1a(value))
     }
 
-    /// Takes in the chunk that the arm `arm`, counted from 0, is given in the coming tick, up to its length.
+    /// Takes in the chunk that the arm `arm`, counted from 0, is given in the coming tick, up to
+    /// its length.
     pub fn chunk(&mut self, arm: usize, chunk: &Chunk) {
         let Self(hash) = self;
-        // The first arm goes without its number, so that the hash of a run of one arm is what it always was.
+        // The first arm goes without its number, so that the hash of a run of one arm is what it
+        // always was.
         if arm > 0 {
             hash.word(arm as u64);
         }
@@ -106,7 +110,8 @@ impl InputHash {
         }
     }
 
-    /// Takes in the rest of one arm's input: its time, the measurement or why there is none, and the operator's wish.
+    /// Takes in the rest of one arm's input: its time, the measurement or why there is none, and
+    /// the operator's wish.
     ///
     /// Of two arms the first comes first, after the chunks of both.
     pub fn tick(

@@ -1,5 +1,5 @@
-//! The instrument as four links, each a segment with the shaft's radius about it, and how its points move. Hot path: bounded, no
-//! allocation, no I/O, no lock.
+//! The instrument as four links, each a segment with the shaft's radius about it, and how its
+//! points move. Hot path: bounded, no allocation, no I/O, no lock.
 
 use hal::psm::{FINGER_M, JAW_MAX};
 use hal::{JointVector, Pose};
@@ -111,7 +111,8 @@ impl Instrument {
     }
 }
 
-/// Cosine and sine of each finger's angle from the approach direction. Negative jaw angles press the closed fingers together.
+/// Cosine and sine of each finger's angle from the approach direction. Negative jaw angles press
+/// the closed fingers together.
 fn opening(jaw: f64) -> (f64, f64) {
     let half = 0.5 * jaw.clamp(0.0, JAW_MAX);
     (half.cos(), half.sin())
@@ -142,10 +143,11 @@ impl KinematicState {
         }
     }
 
-    /// Velocity of the point of `link` that is at `point_m` (RCM frame) per joint and jaw velocity, in the RCM frame.
+    /// Velocity of the point of `link` that is at `point_m` (RCM frame) per joint and jaw velocity,
+    /// in the RCM frame.
     ///
-    /// For the shaft the point is `fraction` of the way from the remote centre, where the insertion does not move it, to the
-    /// wrist.
+    /// For the shaft the point is `fraction` of the way from the remote centre, where the insertion
+    /// does not move it, to the wrist.
     #[must_use]
     pub fn point_jacobian(
         &self,

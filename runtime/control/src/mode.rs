@@ -91,17 +91,20 @@ pub enum OperatorEvent {
     Resume,
     /// Acknowledge a fault; the arm stays disabled.
     Clear,
-    /// Lower the speed limits to a share of the configured ones, or raise them again; this changes no state.
+    /// Lower the speed limits to a share of the configured ones, or raise them again; this changes
+    /// no state.
     Speed {
         /// The share, percent; more than 100 counts as 100.
         percent: u8,
     },
-    /// The operator's hands drive from now on: the policy's chunks count no more. This changes no state.
+    /// The operator's hands drive from now on: the policy's chunks count no more. This changes no
+    /// state.
     TakeOver,
-    /// The policy drives again: the targets of the hands count no more, nor does what answers an observation from before. This
-    /// changes no state.
+    /// The policy drives again: the targets of the hands count no more, nor does what answers an
+    /// observation from before. This changes no state.
     HandBack,
-    /// The run's own hold ends: follow the policy again, from its first chunk that starts where the arm is.
+    /// The run's own hold ends: follow the policy again, from its first chunk that starts where the
+    /// arm is.
     GoOn,
 }
 

@@ -1,4 +1,5 @@
-//! The seven axes that move together: the joints and the jaw. Hot path: bounded, no allocation, no I/O, no lock.
+//! The seven axes that move together: the joints and the jaw. Hot path: bounded, no allocation, no
+//! I/O, no lock.
 
 use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, TimeNs};
 

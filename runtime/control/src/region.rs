@@ -1,4 +1,5 @@
-//! Regions that no part of an instrument may touch. Hot path: bounded, no allocation, no I/O, no lock.
+//! Regions that no part of an instrument may touch. Hot path: bounded, no allocation, no I/O, no
+//! lock.
 
 use hal::Pose;
 use nalgebra::{Point3, Rotation3, Vector3};

@@ -1,7 +1,8 @@
-//! The safety filter's constraints on the velocities of one arm or two, as rows. Hot path: bounded, no allocation, no I/O, no lock.
+//! The safety filter's constraints on the velocities of one arm or two, as rows. Hot path: bounded,
+//! no allocation, no I/O, no lock.
 //!
-//! Zero velocity satisfies every row in every state, so that the filter always has an answer: braking is always allowed, and a
-//! boundary that has been passed only forbids going further.
+//! Zero velocity satisfies every row in every state, so that the filter always has an answer:
+//! braking is always allowed, and a boundary that has been passed only forbids going further.
 
 mod bounds;
 mod geometry;
@@ -23,11 +24,12 @@ pub use names::names;
 
 pub use hal::ARMS_MAX;
 
-/// Most rows of geometry: for each arm three points in the workspace and eight places of the instrument against each region,
-/// and between the arms seven pairs of links.
+/// Most rows of geometry: for each arm three points in the workspace and eight places of the
+/// instrument against each region, and between the arms seven pairs of links.
 pub const GEOMETRY_MAX: usize = ARMS_MAX * (18 + 8 * FORBIDDEN_MAX) + 7;
 
-/// What the filter keeps beyond the guard's margin and a large deviation, as a share of what it keeps beyond the guard's margin otherwise.
+/// What the filter keeps beyond the guard's margin and a large deviation, as a share of what it
+/// keeps beyond the guard's margin otherwise.
 const ROOM_SHARE: f64 = 0.25;
 
 /// Velocities of all axes of all arms, arm by arm.
@@ -67,7 +69,8 @@ pub struct RowInput<'a> {
     pub jaw_effort_n_m: f64,
     /// Share of the speed limits that is allowed, 0 to 1.
     pub pace: f64,
-    /// How far the measured instrument is from the commanded one, as the guard takes it into account.
+    /// How far the measured instrument is from the commanded one, as the guard takes it into
+    /// account.
     pub deviation: Deviation,
 }
 
@@ -140,7 +143,8 @@ impl Rows {
     }
 
     fn speeds(&mut self, config: &ControlConfig, first: usize, arm: &RowInput<'_>) {
-        // The bounds of its axes hold an arm whose pace is zero; a cone of no width would only make the problem harder.
+        // The bounds of its axes hold an arm whose pace is zero; a cone of no width would only make
+        // the problem harder.
         let pace = if arm.pace > 0.0 { arm.pace } else { 1.0 };
         let share = config.filter.speed_fraction * pace;
         let jacobian = arm.stance.frames.tip_jacobian();
@@ -159,7 +163,8 @@ impl Rows {
         cone(3, config.tip_angular_speed_rad_s);
     }
 
-    /// Whether `velocity` satisfies every row, joint speeds and tip speeds exceeding by at most `tolerance` of their limits.
+    /// Whether `velocity` satisfies every row, joint speeds and tip speeds exceeding by at most
+    /// `tolerance` of their limits.
     #[must_use]
     pub fn hold(&self, velocity: &Velocities, tolerance: f64) -> bool {
         let slack_m_s = tolerance * self.tip_speed_m_s;
@@ -242,10 +247,12 @@ pub(super) fn velocity_scale(config: &ControlConfig) -> Velocities {
     scale
 }
 
-/// The velocity towards a boundary that is `distance_m` away, margin apart, m/s, of a part whose measured place deviates by `deviation_m`.
+/// The velocity towards a boundary that is `distance_m` away, margin apart, m/s, of a part whose
+/// measured place deviates by `deviation_m`.
 ///
-/// The guard keeps its own margin and the deviation. Where these come to more than the filter's margin, the filter keeps them too, with
-/// [`ROOM_SHARE`] to spare for stops, which curve: otherwise it would lead the arm where the guard stops it.
+/// The guard keeps its own margin and the deviation. Where these come to more than the filter's
+/// margin, the filter keeps them too, with [`ROOM_SHARE`] to spare for stops, which curve:
+/// otherwise it would lead the arm where the guard stops it.
 fn approach_bound(distance_m: f64, deviation_m: f64, config: &ControlConfig) -> f64 {
     let Margins {
         filter_m, guard_m, ..

@@ -100,7 +100,8 @@ pub(super) struct GateTable {
     pub(super) resume_rad_max: f64,
 }
 
-/// Committed networks go on from 4 mm away, and what moves at 0.1 m/s is due 10 mm away after 0.1 s.
+/// Committed networks go on from 4 mm away, and what moves at 0.1 m/s is due 10 mm away after 0.1
+/// s.
 const fn resume_m_max() -> f64 {
     0.01
 }

@@ -1,5 +1,5 @@
-//! Clarabel on the filter's problems: another algorithm, by other people, for tests and for replays. It allocates, so the tick
-//! does without it.
+//! Clarabel on the filter's problems: another algorithm, by other people, for tests and for
+//! replays. It allocates, so the tick does without it.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
@@ -10,7 +10,8 @@ use clarabel::solver::{
 use super::active_set::{Cone, LinearRow, VARIABLES_MAX};
 use super::filter::Problem;
 
-/// Tolerances of gap and feasibility, set in Clarabel one after the other; it does not always reach the first.
+/// Tolerances of gap and feasibility, set in Clarabel one after the other; it does not always reach
+/// the first.
 const TOLERANCES: [f64; 2] = [1e-10, 1e-9];
 
 /// Iterations after which Clarabel gives up; no limit on time, which would read a clock.

@@ -1,8 +1,9 @@
 //! Jerk-limited velocities with Ruckig. Hot path: bounded, no allocation, no I/O, no lock.
 //!
-//! A target velocity of zero is coming to rest, any other is tracking. Both are reached from any state within the limits as
-//! fast as acceleration and jerk allow, without overshoot, with zero acceleration, and are then held; an axis at rest that is
-//! commanded to rest stays where it is, bit for bit.
+//! A target velocity of zero is coming to rest, any other is tracking. Both are reached from any
+//! state within the limits as fast as acceleration and jerk allow, without overshoot, with zero
+//! acceleration, and are then held; an axis at rest that is commanded to rest stays where it is,
+//! bit for bit.
 
 mod lowered;
 
@@ -15,10 +16,12 @@ use super::motion::{AXES, Axes, AxisLimits, MotionState};
 use super::snapshot::{Reader, Snapshot, SnapshotError, Stateful, layout};
 use lowered::AxisLowering;
 
-/// Brings each axis to its target velocity as fast as acceleration and jerk allow, one tick at a time.
+/// Brings each axis to its target velocity as fast as acceleration and jerk allow, one tick at a
+/// time.
 ///
-/// It keeps no motion of its own: every step starts from the commanded state, so that an override by the guard makes no jump.
-/// Its limits may be lowered while the arm moves, see [`Smoother::set_limits`].
+/// It keeps no motion of its own: every step starts from the commanded state, so that an override
+/// by the guard makes no jump. Its limits may be lowered while the arm moves, see
+/// [`Smoother::set_limits`].
 pub struct Smoother {
     ruckig: Box<Ruckig<AXES, IgnoreErrorHandler>>,
     input: Box<InputParameter<AXES>>,
@@ -48,16 +51,20 @@ impl Smoother {
         }
     }
 
-    /// Lowers velocity, acceleration and jerk, or brings them back, at any moment and in any motion.
+    /// Lowers velocity, acceleration and jerk, or brings them back, at any moment and in any
+    /// motion.
     ///
-    /// No limit goes above what the smoother was built with, nor acceleration and jerk below a thousandth of it; a limit that
-    /// is not a number counts as the lowest. The position range stays. What was built in remains the measure of a stop:
+    /// No limit goes above what the smoother was built with, nor acceleration and jerk below a
+    /// thousandth of it; a limit that is not a number counts as the lowest. The position range
+    /// stays. What was built in remains the measure of a stop:
     ///
-    /// - A speed above its new limit falls to it and does not pass it. An acceleration above its new limit comes under it as
-    ///   fast as the full jerk allows. The jerk keeps its new limit once the motion fits it; until then it is as much higher
-    ///   as is needed to pass neither the target nor the speed limit, at most the full one.
-    /// - While acceleration or jerk are lowered, an axis whose stop at full limits would leave the range after the next step
-    ///   makes that stop instead: the range comes before the lowered limits.
+    /// - A speed above its new limit falls to it and does not pass it. An acceleration above its
+    ///   new limit comes under it as fast as the full jerk allows. The jerk keeps its new limit
+    ///   once the motion fits it; until then it is as much higher as is needed to pass neither the
+    ///   target nor the speed limit, at most the full one.
+    /// - While acceleration or jerk are lowered, an axis whose stop at full limits would leave the
+    ///   range after the next step makes that stop instead: the range comes before the lowered
+    ///   limits.
     pub fn set_limits(&mut self, limits: &[AxisLimits; AXES]) {
         for (axis, limit) in self.axes.iter_mut().zip(limits) {
             axis.set(limit);
@@ -70,10 +77,11 @@ impl Smoother {
         core::array::from_fn(|axis| *self.axes[axis].limits())
     }
 
-    /// The state one tick after `state` on the way to `target_velocity`, which is brought within the limits; `None` if there
-    /// is no such way or something is not finite.
+    /// The state one tick after `state` on the way to `target_velocity`, which is brought within
+    /// the limits; `None` if there is no such way or something is not finite.
     pub fn step(&mut self, state: &MotionState, target_velocity: &Axes) -> Option<MotionState> {
-        // Ruckig formats a message when validation fails, which would allocate: let nothing through that could.
+        // Ruckig formats a message when validation fails, which would allocate: let nothing through
+        // that could.
         if !(state.is_finite() && target_velocity.iter().all(|v| v.is_finite())) {
             return None;
         }

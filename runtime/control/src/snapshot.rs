@@ -1,8 +1,9 @@
-//! A controller's complete state between two ticks, in words: what a replay goes on from where the beginning of a log was not kept. Taking it
-//! is hot path: bounded, no allocation, no I/O, no lock.
+//! A controller's complete state between two ticks, in words: what a replay goes on from where the
+//! beginning of a log was not kept. Taking it is hot path: bounded, no allocation, no I/O, no lock.
 //!
-//! State is whatever a tick leaves behind and a later one looks at. What is built from the configuration and what each tick computes anew before
-//! it is used are none. Each part names all of its fields, so that one that comes to it later must be put on either side.
+//! State is whatever a tick leaves behind and a later one looks at. What is built from the
+//! configuration and what each tick computes anew before it is used are none. Each part names all
+//! of its fields, so that one that comes to it later must be put on either side.
 
 mod values;
 
@@ -19,7 +20,8 @@ pub const HELD_MAX: usize = ARMS_MAX * CHUNK_STEPS_MAX;
 
 /// A controller's complete state between two ticks.
 ///
-/// Of the chunks that it still blends it says which they are. They are large, and whoever takes the snapshot has seen them.
+/// Of the chunks that it still blends it says which they are. They are large, and whoever takes the
+/// snapshot has seen them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Snapshot {
     layout: u64,
@@ -52,8 +54,8 @@ pub enum SnapshotError {
 }
 
 impl Snapshot {
-    /// An empty one, with room for the state of any controller: filling it allocates nothing and, since the room has been written to, takes
-    /// no page fault.
+    /// An empty one, with room for the state of any controller: filling it allocates nothing and,
+    /// since the room has been written to, takes no page fault.
     #[must_use]
     pub fn new() -> Self {
         let nowhere = HeldChunk {
@@ -123,7 +125,8 @@ impl Snapshot {
         });
     }
 
-    /// Begins to read the state of a controller whose layout is `layout`; `chunks` are those of [`Self::held`].
+    /// Begins to read the state of a controller whose layout is `layout`; `chunks` are those of
+    /// [`Self::held`].
     pub(super) fn read<'a>(
         &'a self,
         layout: u64,

@@ -1,8 +1,9 @@
-//! The fastest jerk-limited way to rest, in closed form. Hot path: bounded, no allocation, no I/O, no lock.
+//! The fastest jerk-limited way to rest, in closed form. Hot path: bounded, no allocation, no I/O,
+//! no lock.
 //!
-//! From velocity `v` and acceleration `a` an axis ramps its acceleration against the motion, may hold it at the limit, and
-//! ramps it back to zero. The profile is the same as a time-optimal generator's for a target velocity of zero, but shares no
-//! code with it.
+//! From velocity `v` and acceleration `a` an axis ramps its acceleration against the motion, may
+//! hold it at the limit, and ramps it back to zero. The profile is the same as a time-optimal
+//! generator's for a target velocity of zero, but shares no code with it.
 
 use super::motion::{AXES, Axes, AxisLimits, MotionState};
 use super::snapshot::words;
@@ -49,7 +50,8 @@ impl AxisStop {
     #[must_use]
     pub fn new(position: f64, velocity: f64, acceleration: f64, limits: &AxisLimits) -> Self {
         let (a_max, jerk) = (limits.acceleration, limits.jerk);
-        // The velocity that remains once the acceleration has been brought to zero tells which way to brake.
+        // The velocity that remains once the acceleration has been brought to zero tells which way
+        // to brake.
         let remaining = velocity + acceleration * acceleration.abs() / (2.0 * jerk);
         let side = if remaining < 0.0 { -1.0 } else { 1.0 };
         let (v, a) = (side * velocity, side * acceleration);
@@ -181,7 +183,8 @@ pub struct Phase {
     pub jerk: f64,
 }
 
-/// The rest of one axis's stop: where it is, and three phases of constant jerk, after which it rests.
+/// The rest of one axis's stop: where it is, and three phases of constant jerk, after which it
+/// rests.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Remainder {
     /// Position, rad (m).

@@ -1,7 +1,9 @@
-//! From a target to the joint velocity that one would like. Hot path: bounded, no allocation, no I/O, no lock.
+//! From a target to the joint velocity that one would like. Hot path: bounded, no allocation, no
+//! I/O, no lock.
 //!
-//! Feed-forward of the target's own velocity, plus the error times a gain, slowed where the axis could not brake in time. The
-//! feed-forward is the mean over the look-ahead, so that the arm begins to brake before the target does.
+//! Feed-forward of the target's own velocity, plus the error times a gain, slowed where the axis
+//! could not brake in time. The feed-forward is the mean over the look-ahead, so that the arm
+//! begins to brake before the target does.
 
 use hal::{JOINT_COUNT, JointVector, TipTarget};
 
@@ -10,11 +12,13 @@ use super::motion::{AXES, Axes, AxisLimits, JAW, MotionState};
 use super::viability::viable_speed;
 use crate::kinematics::{Frames, inverse_clamped};
 
-/// Shares of acceleration and jerk that the approach to a target counts on; the rest keeps it from overshooting.
+/// Shares of acceleration and jerk that the approach to a target counts on; the rest keeps it from
+/// overshooting.
 const APPROACH_ACCELERATION: f64 = 0.5;
 const APPROACH_JERK: f64 = 0.25;
 
-/// The nominal motion stays this far below the limits, so that rounding makes no row of the filter active.
+/// The nominal motion stays this far below the limits, so that rounding makes no row of the filter
+/// active.
 const BELOW_LIMITS: f64 = 0.999;
 
 /// Turns targets into joint velocities.
@@ -50,10 +54,11 @@ impl Tracking {
             .clamp(-jaw_max, jaw_max)
     }
 
-    /// The velocity of each axis that leads from `state` to `target`, which will be at `ahead` in `ahead_s`.
+    /// The velocity of each axis that leads from `state` to `target`, which will be at `ahead` in
+    /// `ahead_s`.
     ///
-    /// Joint and tip speeds are scaled together to within `pace` times their limits, so that the path keeps its direction. `None`
-    /// if the target has no inverse kinematics.
+    /// Joint and tip speeds are scaled together to within `pace` times their limits, so that the
+    /// path keeps its direction. `None` if the target has no inverse kinematics.
     #[must_use]
     pub fn velocity(
         &self,

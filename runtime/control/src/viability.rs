@@ -1,6 +1,8 @@
-//! How fast may an axis be and still stop in time? Hot path: bounded, no allocation, no I/O, no lock.
+//! How fast may an axis be and still stop in time? Hot path: bounded, no allocation, no I/O, no
+//! lock.
 
-/// Distance that an axis needs to stop from `speed` at zero acceleration, rad (m), at full `acceleration` and `jerk`.
+/// Distance that an axis needs to stop from `speed` at zero acceleration, rad (m), at full
+/// `acceleration` and `jerk`.
 #[must_use]
 pub fn stop_distance(speed: f64, acceleration: f64, jerk: f64) -> f64 {
     if speed * jerk >= acceleration * acceleration {
@@ -10,7 +12,8 @@ pub fn stop_distance(speed: f64, acceleration: f64, jerk: f64) -> f64 {
     }
 }
 
-/// Highest speed from which an axis stops within `distance`: the inverse of [`stop_distance`], 0 for negative distances.
+/// Highest speed from which an axis stops within `distance`: the inverse of [`stop_distance`], 0
+/// for negative distances.
 #[must_use]
 pub fn viable_speed(distance: f64, acceleration: f64, jerk: f64) -> f64 {
     let distance = distance.max(0.0);

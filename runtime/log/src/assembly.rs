@@ -206,7 +206,8 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
         fill(&mut self.snapshot, snapshot)
     }
 
-    /// Takes the tick message of the arm `arm`, logged at `at_ns`: the first arm's completes the tick.
+    /// Takes the tick message of the arm `arm`, logged at `at_ns`: the first arm's completes the
+    /// tick.
     fn tick(&mut self, arm: usize, at_ns: u64, message: TickMessage) -> Result<(), String> {
         if message.now_ns != at_ns {
             return Err(format!("tick {} has another time", message.tick));

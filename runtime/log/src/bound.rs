@@ -1,4 +1,5 @@
-//! A log of bounded size: a full file is put aside and the next one begun; only the newest full one stays.
+//! A log of bounded size: a full file is put aside and the next one begun; only the newest full one
+//! stays.
 
 use std::fs::{self, File};
 use std::io::BufWriter;
@@ -9,7 +10,8 @@ use super::header::RunHeader;
 use super::snapshot::{SeenChunks, SnapshotQueue};
 use super::writer::LogWriter;
 
-/// What may be written between two checks of the size, at least, and the end: room for twice as much as between any two before, if that is more.
+/// What may be written between two checks of the size, at least, and the end: room for twice as
+/// much as between any two before, if that is more.
 pub(super) const SPARE_BYTES: u64 = 2 << 20;
 
 /// Of a file no more than this part is spare: what is written at once comes seldom.
@@ -42,7 +44,8 @@ pub(super) enum Fill {
 /// The bound of a log.
 pub(super) struct Bound {
     file_bytes_max: u64,
-    /// How large the file was when it was last checked, or had begun; unknown until the first check, before which frames of a long start count.
+    /// How large the file was when it was last checked, or had begun; unknown until the first
+    /// check, before which frames of a long start count.
     checked_bytes: Option<u64>,
     /// The most that was written between two checks.
     growth_bytes_max: u64,
@@ -55,8 +58,8 @@ fn size_bytes(path: &Path) -> u64 {
 }
 
 impl Bound {
-    /// `bytes_max` for both files of the run `run`, of which one is at `path` and has begun. What an earlier run put aside there is no part of
-    /// this one and is removed.
+    /// `bytes_max` for both files of the run `run`, of which one is at `path` and has begun. What
+    /// an earlier run put aside there is no part of this one and is removed.
     pub(super) fn new(bytes_max: u64, run: &RunHeader, path: &Path) -> Self {
         let _absent = fs::remove_file(earlier(path));
         let file_bytes_max = bytes_max / 2;
@@ -68,7 +71,8 @@ impl Bound {
         }
     }
 
-    /// Whether the file at `path`, all of which was flushed, may go on if it is to end with `end_bytes` more.
+    /// Whether the file at `path`, all of which was flushed, may go on if it is to end with
+    /// `end_bytes` more.
     pub(super) fn check(&mut self, path: &Path, end_bytes: u64) -> Fill {
         let bytes = size_bytes(path);
         let growth_bytes = bytes.saturating_sub(self.checked_bytes.unwrap_or(bytes));
@@ -125,7 +129,8 @@ mod tests {
     use super::*;
     use crate::tests::Scratch;
 
-    /// Whatever is written between two checks, a file with its end stays within its half, and one more check is possible before it must end.
+    /// Whatever is written between two checks, a file with its end stays within its half, and one
+    /// more check is possible before it must end.
     #[test]
     fn a_file_ends_in_time() {
         let file = Scratch::new("bound");
@@ -151,7 +156,8 @@ mod tests {
         }
     }
 
-    /// What is written before the first check, such as frames while a run waits for its arms, is no measure of what comes between two.
+    /// What is written before the first check, such as frames while a run waits for its arms, is no
+    /// measure of what comes between two.
     #[test]
     fn a_long_start_leaves_the_room_as_it_is() {
         let file = Scratch::new("bound-start");

@@ -1,4 +1,5 @@
-//! Camera frames as the log keeps them: the colour image as PNG, the lens, and where the camera was.
+//! Camera frames as the log keeps them: the colour image as PNG, the lens, and where the camera
+//! was.
 
 use hal::{CameraFrame, Distortion, Intrinsics, Pose, TimeNs};
 use image::{ExtendedColorType, ImageEncoder, codecs::png};

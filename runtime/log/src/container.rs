@@ -1,4 +1,5 @@
-//! Walks through the bytes of an MCAP file, checks its checksums and stops cleanly where a file was cut.
+//! Walks through the bytes of an MCAP file, checks its checksums and stops cleanly where a file was
+//! cut.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -22,14 +23,15 @@ pub(super) trait Visitor {
 /// Opcode and length before each record.
 const RECORD_HEAD: usize = 9;
 
-/// More than any chunk of ours holds (a full file chunk and one image). A flipped bit in a length would otherwise ask for
-/// more memory than there is.
+/// More than any chunk of ours holds (a full file chunk and one image). A flipped bit in a length
+/// would otherwise ask for more memory than there is.
 const RECORD_BYTES_MAX: usize = 64 << 20;
 
 /// Visits every whole record of `input`, one after the other; `Some(reason)` if the file was cut.
 ///
 /// # Errors
-/// [`LogError::Read`], [`LogError::NotMcap`], or [`LogError::Damaged`] with the offset of the record in which bytes have changed.
+/// [`LogError::Read`], [`LogError::NotMcap`], or [`LogError::Damaged`] with the offset of the
+/// record in which bytes have changed.
 pub(super) fn walk(
     path: &Path,
     input: impl Read,
@@ -228,8 +230,8 @@ impl<'a, R: Read> Input<'a, R> {
     }
 }
 
-/// Unpacks the chunk record in `bytes` and hands on what is in it, once its checksum is known to be right: only then can
-/// lengths inside be trusted.
+/// Unpacks the chunk record in `bytes` and hands on what is in it, once its checksum is known to be
+/// right: only then can lengths inside be trusted.
 fn open_chunk(
     bytes: &[u8],
     mut visit: impl FnMut(Record<'_>) -> Result<(), String>,

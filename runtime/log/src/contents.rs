@@ -1,5 +1,5 @@
-//! One hash over everything that a log holds, in order: what was changed afterwards shows, unless whoever changed it
-//! computed this one again too.
+//! One hash over everything that a log holds, in order: what was changed afterwards shows, unless
+//! whoever changed it computed this one again too.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

@@ -1,5 +1,5 @@
-//! What the protobuf messages look like, in the form that readers need: a `FileDescriptorSet` with all of them, made from how their structs
-//! are written ([`super::messages`]).
+//! What the protobuf messages look like, in the form that readers need: a `FileDescriptorSet` with
+//! all of them, made from how their structs are written ([`super::messages`]).
 
 use prost::Message;
 use prost_types::field_descriptor_proto::{Label, Type};
@@ -16,7 +16,8 @@ const TIMESTAMP: &str = "Timestamp";
 /// The file that it is from.
 const TIMESTAMP_FILE: &str = "google/protobuf/timestamp.proto";
 
-/// The descriptors of every protobuf message in the log, encoded; each message's schema carries all of them.
+/// The descriptors of every protobuf message in the log, encoded; each message's schema carries all
+/// of them.
 pub(super) fn file_descriptor_set() -> Vec<u8> {
     let (timestamp, mut messages): (Vec<_>, Vec<_>) = FIELDS
         .iter()
@@ -87,7 +88,8 @@ fn message(name: &str, fields: Fields) -> DescriptorProto {
     message
 }
 
-/// A field of this `kind`, as in `#[prost(kind)]`, whose struct's field is an `of`; and whether it is a value that may be absent.
+/// A field of this `kind`, as in `#[prost(kind)]`, whose struct's field is an `of`; and whether it
+/// is a value that may be absent.
 fn field(name: &str, kind: &str, of: &str) -> (FieldDescriptorProto, bool) {
     let mut words = kind.split(',').map(str::trim);
     let scalar = words.next().and_then(|word| word.split_whitespace().next());

@@ -81,7 +81,8 @@ pub(super) struct Drain {
     pub(super) _syncing: Option<Syncing>,
 }
 
-/// Whether the controller may hold `chunk`, which comes with the tick `item` or with one before it that was dropped.
+/// Whether the controller may hold `chunk`, which comes with the tick `item` or with one before it
+/// that was dropped.
 fn may_be_held(chunk: &ChunkItem, item: &TickItem) -> bool {
     let of_tick = item.chunk_records.get(chunk.arm).copied().flatten() == Some(chunk.record);
     let report = item.tick.arms.get(chunk.arm).map(|arm| arm.report);
@@ -95,7 +96,8 @@ impl Drain {
     /// Writes until it is stopped or all producers are gone.
     pub(super) fn run(mut self) -> Result<LogCounts, LogError> {
         loop {
-            // Read before draining: whatever was handed over before it was set is then still written.
+            // Read before draining: whatever was handed over before it was set is then still
+            // written.
             let stop = self.shared.stop.load(Ordering::Acquire) || self.is_alone();
             let mut idle = true;
             while let Ok(item) = self.ticks.pop() {
@@ -107,7 +109,8 @@ impl Drain {
                 let result = self.writer.scene(at, &scene);
                 self.note(result);
             }
-            // One at a time: compressing a frame takes a while, and ticks must not pile up behind a row of them.
+            // One at a time: compressing a frame takes a while, and ticks must not pile up behind a
+            // row of them.
             while let Ok(item) = self.side.pop() {
                 idle = false;
                 self.write_side(item);
@@ -124,7 +127,8 @@ impl Drain {
         }
     }
 
-    /// Whether all producers are gone: the queues' other ends, and the [`super::recorder::LogFile`], which brings the outcome.
+    /// Whether all producers are gone: the queues' other ends, and the
+    /// [`super::recorder::LogFile`], which brings the outcome.
     fn is_alone(&self) -> bool {
         self.ticks.is_abandoned()
             && self.side.is_abandoned()
@@ -132,8 +136,8 @@ impl Drain {
             && Arc::strong_count(&self.shared) == 1
     }
 
-    /// Writes the chunks up to those of `item`. Chunks of ticks that were dropped come out here as well: they are written, under their
-    /// own number.
+    /// Writes the chunks up to those of `item`. Chunks of ticks that were dropped come out here as
+    /// well: they are written, under their own number.
     fn write_chunks(&mut self, item: &TickItem) {
         let newest = item.chunk_records.iter().copied().flatten().max();
         while let Some(wanted) = newest
@@ -153,8 +157,9 @@ impl Drain {
         }
     }
 
-    /// Writes a tick with its chunks and events, and begins the next file where the bound is reached: before it, where the controller's state
-    /// came with it, and after it in a log without any.
+    /// Writes a tick with its chunks and events, and begins the next file where the bound is
+    /// reached: before it, where the controller's state came with it, and after it in a log without
+    /// any.
     fn write_tick(&mut self, item: &TickItem) {
         self.turn_at_snapshot(item.record);
         self.write_chunks(item);
@@ -179,9 +184,11 @@ impl Drain {
         }
     }
 
-    /// Where the controller's state has come for a tick up to that of `record`, which is to be written: begins the next file there if the
-    /// bound is reached, counting the state that ends the file. A state that lacks a chunk, or is not of this very tick since ticks between were
-    /// dropped, begins a file only where no more can be waited for another: that file can't be replayed.
+    /// Where the controller's state has come for a tick up to that of `record`, which is to be
+    /// written: begins the next file there if the bound is reached, counting the state that ends
+    /// the file. A state that lacks a chunk, or is not of this very tick since ticks between were
+    /// dropped, begins a file only where no more can be waited for another: that file can't be
+    /// replayed.
     fn turn_at_snapshot(&mut self, record: u64) {
         let bounded = self.bounded.as_mut();
         let Some(item) = bounded.and_then(|bounded| bounded.snapshots.take(record)) else {
@@ -204,7 +211,8 @@ impl Drain {
         }
     }
 
-    /// Closes the file and goes on in the `next`; the controller's state ends the one and begins the other.
+    /// Closes the file and goes on in the `next`; the controller's state ends the one and begins
+    /// the other.
     fn go_on(
         &mut self,
         next: Result<LogWriter<BufWriter<File>>, LogError>,

@@ -1,4 +1,5 @@
-//! Floating-point numbers in JSON that come back bit for bit, also the non-finite ones, which JSON lacks.
+//! Floating-point numbers in JSON that come back bit for bit, also the non-finite ones, which JSON
+//! lacks.
 
 use core::fmt;
 
@@ -6,8 +7,8 @@ use hal::TipTarget;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A double in JSON: finite ones as their shortest exact decimal, the others as `"inf"`, `"-inf"` or
-/// `"nan:<16 hex digits>"`, the digits being the bits.
+/// A double in JSON: finite ones as their shortest exact decimal, the others as `"inf"`, `"-inf"`
+/// or `"nan:<16 hex digits>"`, the digits being the bits.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Exact(pub(super) f64);
 

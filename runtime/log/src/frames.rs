@@ -1,4 +1,5 @@
-//! Frames of the log: the scene, remote centres in it, tips and cameras; and the messages that place them in each other.
+//! Frames of the log: the scene, remote centres in it, tips and cameras; and the messages that
+//! place them in each other.
 
 use hal::{ARMS_MAX, ArmState, Pose, TimeNs};
 
@@ -15,7 +16,8 @@ pub(super) const RCM_FRAMES: [&str; ARMS_MAX] = ["psm1_rcm", "psm2_rcm"];
 /// Frames of the tips.
 const TIP_FRAMES: [&str; ARMS_MAX] = ["psm1_tip", "psm2_tip"];
 
-/// Where the remote centres are in the scene, as far as that is known, and the measured tips from there.
+/// Where the remote centres are in the scene, as far as that is known, and the measured tips from
+/// there.
 pub(super) fn of_arms(tick: &TickRecord, rcms_in_scene: &[Pose]) -> FrameTransforms {
     let mut transforms = Vec::new();
     for (index, arm) in tick.arms.iter().enumerate() {

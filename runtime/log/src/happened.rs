@@ -1,4 +1,5 @@
-//! Events of a run in words, from its ticks: the operator's, changes of mode, faults, and what holds an arm although there are answers.
+//! Events of a run in words, from its ticks: the operator's, changes of mode, faults, and what
+//! holds an arm although there are answers.
 
 use hal::{ARM_NAMES, ARMS_MAX};
 use trocar_control::{Fault, GateDecision, OperatingState, OperatorEvent};

@@ -21,13 +21,15 @@ pub struct RunHeader {
     pub seed: u64,
     /// Whether time was the tick counter.
     pub lockstep: bool,
-    /// From where the cameras looked: `train`, `view1` or `view2`; empty in a log of before there was a choice.
+    /// From where the cameras looked: `train`, `view1` or `view2`; empty in a log of before there
+    /// was a choice.
     pub view: String,
     /// The needle, in a task that has a choice.
     pub needle: Option<String>,
     /// What is drawn anew for each episode, by name; empty if nothing is.
     pub varied: Vec<String>,
-    /// What was running: program, libraries, commit; name to version. Of a checkpoint `weights_sha256`, the SHA-256 of its weights.
+    /// What was running: program, libraries, commit; name to version. Of a checkpoint
+    /// `weights_sha256`, the SHA-256 of its weights.
     pub versions: BTreeMap<String, String>,
     /// The effective configuration; file name (`control.toml`) to text.
     pub texts: BTreeMap<String, String>,
@@ -36,7 +38,8 @@ pub struct RunHeader {
 }
 
 impl RunHeader {
-    /// Where the arms' remote centres are in the scene, as the run's own configuration says; nothing if there is none.
+    /// Where the arms' remote centres are in the scene, as the run's own configuration says;
+    /// nothing if there is none.
     pub(super) fn rcms_in_scene(&self) -> Vec<Pose> {
         let source = |file: &'static str| Some(Source::embedded(file, self.text(file)?));
         let both = source("control.toml").zip(source("safety.toml"));
@@ -121,7 +124,8 @@ impl RunNote {
         self.mark.is_none() && self.label.is_empty()
     }
 
-    /// What was said, to end a sentence with, such as `; marked success`; empty if nothing was said.
+    /// What was said, to end a sentence with, such as `; marked success`; empty if nothing was
+    /// said.
     #[must_use]
     pub fn clause(&self) -> String {
         if self.is_empty() {
@@ -261,19 +265,21 @@ impl LogCounts {
     }
 }
 
-/// The closing metadata record: the outcome, if the run had one, what was written, and what the controller was given.
+/// The closing metadata record: the outcome, if the run had one, what was written, and what the
+/// controller was given.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Closing {
     /// How the run ended; none if it was not closed with an outcome.
     pub(super) outcome: Option<RunOutcome>,
-    /// Whether the run goes on in another file: counts and hash are those of a moment, of which this one may lack the last ticks.
+    /// Whether the run goes on in another file: counts and hash are those of a moment, of which
+    /// this one may lack the last ticks.
     pub(super) goes_on: bool,
     /// What was written and dropped.
     pub(super) counts: LogCounts,
     /// Hash over all inputs of the controller.
     pub(super) input_hash: u64,
-    /// Hash over everything that the log holds, this record too but for the hash itself; none in a log of before there was one,
-    /// which nothing vouches for.
+    /// Hash over everything that the log holds, this record too but for the hash itself; none in a
+    /// log of before there was one, which nothing vouches for.
     pub(super) contents: Option<String>,
 }
 

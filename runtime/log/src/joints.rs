@@ -28,7 +28,8 @@ impl JointMessages {
         }
     }
 
-    /// Fills in a measurement; without one the jaw's measured values are absent and `measured` is stale.
+    /// Fills in a measurement; without one the jaw's measured values are absent and `measured` is
+    /// stale.
     pub(super) fn set_measured(&mut self, state: Option<&ArmState>) {
         if let Some(state) = state {
             self.measured.timestamp = Some(Timestamp::new(state.stamp));

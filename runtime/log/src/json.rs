@@ -33,7 +33,8 @@ pub(super) struct ChunkMessage {
 }
 
 impl ChunkMessage {
-    /// A chunk as the log's number `record`. Targets past its length, which mean nothing, are left out.
+    /// A chunk as the log's number `record`. Targets past its length, which mean nothing, are left
+    /// out.
     pub(super) fn new(record: u64, chunk: &Chunk) -> Self {
         Self {
             record,

@@ -1,4 +1,5 @@
-//! The log's topics for whoever looks on, while the run goes on or at its log: channels with their schemas, and messages one by one.
+//! The log's topics for whoever looks on, while the run goes on or at its log: channels with their
+//! schemas, and messages one by one.
 
 use hal::{Intrinsics, Pose, TimeNs};
 use prost::Message;
@@ -139,10 +140,12 @@ pub fn event(at: TimeNs, level: Level, text: &str) -> Vec<u8> {
     level.line(at, text.to_owned()).encode_to_vec()
 }
 
-/// An axis of drives: its name, where it is and where it is wanted, rad or m, as far as that is known.
+/// An axis of drives: its name, where it is and where it is wanted, rad or m, as far as that is
+/// known.
 pub type Axis<'a> = (&'a str, Option<f64>, Option<f64>);
 
-/// Where the axes of the arm `arm` are, and where its drives want them, each message with its topic.
+/// Where the axes of the arm `arm` are, and where its drives want them, each message with its
+/// topic.
 #[must_use]
 pub fn axes<'a>(
     at: TimeNs,
@@ -189,8 +192,8 @@ pub fn safety(tick: &TickRecord) -> impl Iterator<Item = (&'static str, Vec<u8>)
     })
 }
 
-/// The messages of `tick`, each with its topic; the one before in this stream was at `previous`, and the arms' remote centres are at
-/// `rcms_in_scene`.
+/// The messages of `tick`, each with its topic; the one before in this stream was at `previous`,
+/// and the arms' remote centres are at `rcms_in_scene`.
 #[must_use]
 pub fn tick(
     tick: &TickRecord,

@@ -1,7 +1,8 @@
 //! The Foxglove messages that the log and live viewers use, as protobuf structs.
 //!
-//! Field numbers as in the schema files of `foxglove-sdk` (`schemas/proto/foxglove/*.proto`, Foxglove SDK 0.30). They are stated here alone:
-//! [`super::descriptor`] tells readers the same from [`FIELDS`].
+//! Field numbers as in the schema files of `foxglove-sdk` (`schemas/proto/foxglove/*.proto`,
+//! Foxglove SDK 0.30). They are stated here alone: [`super::descriptor`] tells readers the same
+//! from [`FIELDS`].
 
 use hal::TimeNs;
 use hal::count::{count_u32, index};
@@ -33,7 +34,8 @@ messages! {
         nanos: i32,
     }
 
-    /// One joint. Every value is `optional` on the wire, so that zero, negative zero and "not known" stay apart.
+    /// One joint. Every value is `optional` on the wire, so that zero, negative zero and "not
+    /// known" stay apart.
     #[derive(Clone, PartialEq, Message)]
     struct JointState {
         #[prost(string, tag = "1")]

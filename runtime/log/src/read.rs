@@ -1,4 +1,5 @@
-//! Reads a run's log back: every tick with the chunks that it was given, bit for bit, step by step or as a whole.
+//! Reads a run's log back: every tick with the chunks that it was given, bit for bit, step by step
+//! or as a whole.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -23,7 +24,8 @@ pub struct RunLog {
     pub outcome: Option<RunOutcome>,
     /// What was written; `None` if the file was cut.
     pub counts: Option<LogCounts>,
-    /// Hash over everything that the controller was given, taken while it ran; `None` if the file was cut.
+    /// Hash over everything that the controller was given, taken while it ran; `None` if the file
+    /// was cut.
     pub input_hash: Option<u64>,
     /// Where the logger had to leave something out; empty if nothing is missing.
     pub losses: Vec<Loss>,
@@ -59,11 +61,12 @@ pub enum Loss {
     },
 }
 
-/// Reads the log at `path` tick by tick, up to the cut if it was cut: each tick goes to `each` with the run's header. No more than a tick
-/// is in memory at a time.
+/// Reads the log at `path` tick by tick, up to the cut if it was cut: each tick goes to `each` with
+/// the run's header. No more than a tick is in memory at a time.
 ///
 /// # Errors
-/// [`LogError`] when there is no such file, it is no log of ours, or bytes in it have changed; what `each` says.
+/// [`LogError`] when there is no such file, it is no log of ours, or bytes in it have changed; what
+/// `each` says.
 pub fn read_steps<E: From<LogError>>(
     path: &Path,
     mut each: impl FnMut(&RunHeader, &Step<'_>) -> Result<(), E>,
@@ -238,7 +241,8 @@ impl RunLog {
         self.cut.as_deref()
     }
 
-    /// Whether the log is not what the run wrote: something was changed, put in or taken away, and the checksums computed again.
+    /// Whether the log is not what the run wrote: something was changed, put in or taken away, and
+    /// the checksums computed again.
     #[must_use]
     pub const fn altered(&self) -> bool {
         self.altered

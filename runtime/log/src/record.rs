@@ -1,11 +1,13 @@
-//! One tick as the log sees it: everything that the controller was given, what it answered, and how long that took.
+//! One tick as the log sees it: everything that the controller was given, what it answered, and how
+//! long that took.
 
 use hal::{ArmCommand, ArmError, ArmState, TimeNs};
 
 use hal::PerArm;
 use trocar_control::{OperatorEvent, TickInput, TickOutput, TickReport};
 
-/// One tick of all arms. Plain data, so that the control thread can hand it over without allocating.
+/// One tick of all arms. Plain data, so that the control thread can hand it over without
+/// allocating.
 #[derive(Clone, Copy, Debug)]
 pub struct TickRecord {
     /// Count of the control periods, skipped ones included.
@@ -19,7 +21,8 @@ pub struct TickRecord {
 }
 
 impl TickRecord {
-    /// The record of a tick in which the controller answered `inputs` with `outputs`; the arms share the first one's time.
+    /// The record of a tick in which the controller answered `inputs` with `outputs`; the arms
+    /// share the first one's time.
     #[must_use]
     pub fn new(
         tick: u64,
@@ -72,7 +75,8 @@ pub struct TickTiming {
     pub compute_ns: u64,
 }
 
-/// One tick as it is read back: [`TickRecord`] without the controller's reports, which a replay recomputes.
+/// One tick as it is read back: [`TickRecord`] without the controller's reports, which a replay
+/// recomputes.
 #[derive(Clone, Copy, Debug)]
 pub struct LoggedTick {
     /// Count of the control periods, skipped ones included.

@@ -1,8 +1,9 @@
-//! Hands records from the control thread to the writer thread, without ever blocking a real-time loop.
+//! Hands records from the control thread to the writer thread, without ever blocking a real-time
+//! loop.
 //!
-//! Two bounded wait-free queues carry ticks and chunks, a third one what other threads have to say. Under
-//! [`Pressure::Drop`] a full queue costs the record, which is counted and shows in the file as a gap in the record
-//! numbers; under [`Pressure::Block`] the caller waits.
+//! Two bounded wait-free queues carry ticks and chunks, a third one what other threads have to say.
+//! Under [`Pressure::Drop`] a full queue costs the record, which is counted and shows in the file
+//! as a gap in the record numbers; under [`Pressure::Block`] the caller waits.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -48,8 +49,8 @@ pub struct Writing {
     pub pressure: Pressure,
     /// Hears at once of what can't be written, and not only at the end.
     pub on_failure: OnFailure,
-    /// Bytes that the log takes at most on its disk, if it has a bound. It keeps the last part, in `run.mcap` and what came before it in
-    /// `run.earlier.mcap`, each of half the size at most.
+    /// Bytes that the log takes at most on its disk, if it has a bound. It keeps the last part, in
+    /// `run.mcap` and what came before it in `run.earlier.mcap`, each of half the size at most.
     pub bytes_max: Option<u64>,
 }
 
@@ -176,15 +177,17 @@ impl TickLog {
         }
     }
 
-    /// Hands over the state of `controller` now and then, if the log has a bound: from there a replay goes on once what came before is left out.
-    /// To be called in every tick, after [`Self::tick`].
+    /// Hands over the state of `controller` now and then, if the log has a bound: from there a
+    /// replay goes on once what came before is left out. To be called in every tick, after
+    /// [`Self::tick`].
     pub fn snapshot(&mut self, controller: &AnyController) {
         if let Some(snapshots) = &mut self.snapshots {
             snapshots.put(self.tick_count, self.inputs, controller);
         }
     }
 
-    /// Hands over the chunk that the controller is given for the arm `arm` in the coming tick, the first arm's first.
+    /// Hands over the chunk that the controller is given for the arm `arm` in the coming tick, the
+    /// first arm's first.
     pub fn chunk(&mut self, arm: usize, chunk: &Chunk) {
         let record = self.chunk_count;
         self.chunk_count += 1;
@@ -309,8 +312,8 @@ pub struct Recorder {
 impl Recorder {
     /// Creates the file at `path` and starts its writer thread.
     ///
-    /// Call this before raising the caller's scheduling priority, which the thread would inherit. If the recorder is
-    /// dropped without [`Self::finish`], the file is closed without an outcome.
+    /// Call this before raising the caller's scheduling priority, which the thread would inherit.
+    /// If the recorder is dropped without [`Self::finish`], the file is closed without an outcome.
     ///
     /// # Errors
     /// [`LogError`] when the file cannot be created or the header not be written.

@@ -5,7 +5,8 @@ use core::mem::MaybeUninit;
 
 use rtrb::{Consumer, Producer, RingBuffer};
 
-/// An empty wait-free queue for `capacity` values, whose memory the system has mapped already: a push takes no page fault.
+/// An empty wait-free queue for `capacity` values, whose memory the system has mapped already: a
+/// push takes no page fault.
 #[must_use]
 pub fn pre_faulted_queue<T>(capacity: usize) -> (Producer<T>, Consumer<T>) {
     let (mut producer, consumer) = RingBuffer::new(capacity);

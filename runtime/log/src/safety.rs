@@ -13,13 +13,14 @@ use trocar_control::{Fault, OperatingState, QpOutcome, TickReport};
 pub struct LoggedReport {
     /// The operating state after the tick.
     pub state: OperatingState,
-    /// Where the aggregated chunks wanted the tip to be, in the arm's RCM frame, and the jaw; none of an arm that nobody asked, or that is not
-    /// enabled. Its numbers may be non-finite.
+    /// Where the aggregated chunks wanted the tip to be, in the arm's RCM frame, and the jaw; none
+    /// of an arm that nobody asked, or that is not enabled. Its numbers may be non-finite.
     pub target: Option<TipTarget>,
 }
 
 impl LoggedReport {
-    /// Reads a report of [`Step::reports`](super::Step::reports); none if it lacks the state or is no report.
+    /// Reads a report of [`Step::reports`](super::Step::reports); none if it lacks the state or is
+    /// no report.
     #[must_use]
     pub fn read(message: &[u8]) -> Option<Self> {
         let read: ReadMessage = serde_json::from_slice(message).ok()?;

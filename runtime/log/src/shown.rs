@@ -1,4 +1,5 @@
-//! What a log shows people beside its ticks: camera images as they were kept, the scene, what happened in words, and the messages themselves.
+//! What a log shows people beside its ticks: camera images as they were kept, the scene, what
+//! happened in words, and the messages themselves.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -70,7 +71,8 @@ pub enum LoggedItem<'a> {
     },
 }
 
-/// Reads the log at `path` in the order of the file, up to the cut if it was cut: each item goes to `each`.
+/// Reads the log at `path` in the order of the file, up to the cut if it was cut: each item goes to
+/// `each`.
 ///
 /// # Errors
 /// [`LogError`] when there is no such file, it is no MCAP file, or bytes in it have changed.

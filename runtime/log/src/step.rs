@@ -1,4 +1,5 @@
-//! What reading a log gives: step by step a tick with all that belongs to it, then what is known at the end.
+//! What reading a log gives: step by step a tick with all that belongs to it, then what is known at
+//! the end.
 
 use hal::{Chunk, PerArm};
 
@@ -25,8 +26,8 @@ pub struct Step<'a> {
 }
 
 impl<'a> Step<'a> {
-    /// What the controller was given for each arm. A log may hold another number of arms than the configuration in it, so whoever gives this to
-    /// a controller compares the numbers first.
+    /// What the controller was given for each arm. A log may hold another number of arms than the
+    /// configuration in it, so whoever gives this to a controller compares the numbers first.
     #[must_use]
     pub fn inputs(&self) -> PerArm<TickInput<'a>> {
         let now = self.tick.now;
@@ -45,9 +46,11 @@ impl<'a> Step<'a> {
 pub struct LogEnd {
     /// How the run ended; `None` if the log was not closed properly.
     pub outcome: Option<RunOutcome>,
-    /// The mark in the log, if there is one that is no [`RunMark`](crate::RunMark); the outcome has none then.
+    /// The mark in the log, if there is one that is no [`RunMark`](crate::RunMark); the outcome has
+    /// none then.
     pub unknown_mark: Option<String>,
-    /// Hash over everything that the controller was given, taken while it ran; `None` if the file was cut.
+    /// Hash over everything that the controller was given, taken while it ran; `None` if the file
+    /// was cut.
     pub input_hash: Option<u64>,
     /// Ticks that the logger dropped after the last one that it wrote.
     pub dropped_at_end: u64,

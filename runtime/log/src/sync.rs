@@ -1,5 +1,5 @@
-//! Brings a log to its disk about once a second, in a thread of its own: a disk that takes long holds up nobody, and a machine that loses its
-//! power loses little of the log.
+//! Brings a log to its disk about once a second, in a thread of its own: a disk that takes long
+//! holds up nobody, and a machine that loses its power loses little of the log.
 
 use std::fs::File;
 use std::io;

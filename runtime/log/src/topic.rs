@@ -20,7 +20,8 @@ pub const TASK: &str = "/task";
 /// The topic of CAN buses.
 pub const BUSES: &str = "/buses";
 
-/// A topic that every log has; that of buses has messages in logs of CAN alone, that of snapshots in logs with a bound. Cameras come on top, one pair of topics each.
+/// A topic that every log has; that of buses has messages in logs of CAN alone, that of snapshots
+/// in logs with a bound. Cameras come on top, one pair of topics each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Topic {
     /// What the arm measured.
@@ -41,7 +42,8 @@ pub(super) enum Topic {
     Tick,
     /// What happened, in words.
     Events,
-    /// Where frames are in each other: remote centres and cameras in the scene, tips from their centres.
+    /// Where frames are in each other: remote centres and cameras in the scene, tips from their
+    /// centres.
     Transforms,
     /// Where everything in a simulated scene is, and how its task stands.
     Task,
@@ -179,7 +181,8 @@ pub(super) fn add_channel<W: Write + Seek>(
     }
 }
 
-/// Registers every topic of the arm `arm`: of the first one also what all share, for which other arms get channel 0.
+/// Registers every topic of the arm `arm`: of the first one also what all share, for which other
+/// arms get channel 0.
 pub(super) fn add_channels<W: Write + Seek>(
     writer: &mut Writer<W>,
     arm: usize,

@@ -40,7 +40,8 @@ fn options() -> WriteOptions {
         .profile("")
         .library(concat!("trocar ", env!("CARGO_PKG_VERSION")))
         .chunk_size(Some(FILE_CHUNK_BYTES))
-        // A chunk reaches the file whole or not at all, so that a cut file ends between two of them.
+        // A chunk reaches the file whole or not at all, so that a cut file ends between two of
+        // them.
         .disable_seeking(true)
         .compression_level(1)
         .compression_threads(0)
@@ -102,7 +103,8 @@ impl<W: Write + Seek> LogWriter<W> {
         })
     }
 
-    /// Writes all messages of one tick. The first arm comes last: its tick message says that the tick is complete.
+    /// Writes all messages of one tick. The first arm comes last: its tick message says that the
+    /// tick is complete.
     pub(super) fn tick(&mut self, item: &TickItem) -> McapResult<()> {
         let tick = &item.tick;
         if let Some(second) = &tick.arms.second {
@@ -137,7 +139,8 @@ impl<W: Write + Seek> LogWriter<W> {
         Ok(())
     }
 
-    /// Goes on with the run where the file of `before` ends, so that the first tick has the period of any other.
+    /// Goes on with the run where the file of `before` ends, so that the first tick has the period
+    /// of any other.
     pub(super) const fn go_on_from(&mut self, before: &Self) {
         self.previous_now = before.previous_now;
     }

@@ -44,7 +44,8 @@ pub(super) struct Arm {
     before: Before,
     pub(super) skipped_periods: u64,
     pub(super) newest: Option<Newest>,
-    /// How the newest command with torque says that the axes move: velocities, and accelerations of the joints.
+    /// How the newest command with torque says that the axes move: velocities, and accelerations of
+    /// the joints.
     rates: Option<Rates>,
 }
 
@@ -180,7 +181,8 @@ impl Arm {
         self.place = Some(Tip::place(&self.instrument(&sample)));
     }
 
-    /// Without torque the command moves nothing: it follows the measured arm, and stays where it is if nothing is measured.
+    /// Without torque the command moves nothing: it follows the measured arm, and stays where it is
+    /// if nothing is measured.
     fn limp(
         &self,
         ledger: &mut Ledger,
@@ -209,7 +211,8 @@ impl Arm {
         }
     }
 
-    /// Checks the rates of a command against its limits, against the setpoints and against one another.
+    /// Checks the rates of a command against its limits, against the setpoints and against one
+    /// another.
     fn rates(&mut self, ledger: &mut Ledger, command: &ArmCommand, moved: Option<[f64; AXES]>) {
         let now: Rates = (velocities(command), accelerations(command));
         let before = self.rates.replace(now);
@@ -298,7 +301,8 @@ impl Arm {
         ledger.judge(self.hash_limit, 1.0, 0.0, 1.0, 0.0);
     }
 
-    /// Stamps must rise by whole periods; more than one means that the driver skipped some, in which the arm played its tail.
+    /// Stamps must rise by whole periods; more than one means that the driver skipped some, in
+    /// which the arm played its tail.
     fn stamp(&mut self, ledger: &mut Ledger, command: &ArmCommand) {
         let now = command.stamp.0;
         self.periods = 1.0;

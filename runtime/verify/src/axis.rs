@@ -8,8 +8,8 @@ use super::limits::AxisLimits;
 /// What a derivative may exceed its bound by, as a fraction of it.
 pub(super) const SHARE: f64 = 1e-6;
 
-/// Speed below which an arm counts as resting, rad/s (m/s), and what the command of an arm without torque may be away from
-/// the arm, rad (m): it is a copy.
+/// Speed below which an arm counts as resting, rad/s (m/s), and what the command of an arm without
+/// torque may be away from the arm, rad (m): it is a copy.
 pub(super) const REST: f64 = 1e-9;
 
 /// Time between two commands, s.
@@ -83,7 +83,8 @@ impl Axis {
         }
     }
 
-    /// Checks the velocity that goes to the drives along with a setpoint, and a joint's acceleration.
+    /// Checks the velocity that goes to the drives along with a setpoint, and a joint's
+    /// acceleration.
     pub(super) fn commanded(&self, ledger: &mut Ledger, velocity: f64, acceleration: Option<f64>) {
         let [velocity_max, acceleration_max, _] = self.bounds;
         let values = [
@@ -97,9 +98,11 @@ impl Axis {
         }
     }
 
-    /// Checks that a rate is that of the value that it is said to be of: `change` is what came of `rates`, before and now, in `elapsed_s`.
+    /// Checks that a rate is that of the value that it is said to be of: `change` is what came of
+    /// `rates`, before and now, in `elapsed_s`.
     ///
-    /// With at most the highest jerk between, the mean of both rates is no further from the mean rate.
+    /// With at most the highest jerk between, the mean of both rates is no further from the mean
+    /// rate.
     pub(super) fn agrees(
         &self,
         ledger: &mut Ledger,

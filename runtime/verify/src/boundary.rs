@@ -23,8 +23,9 @@ impl Moment {
 
 /// A bound on one side of a value.
 ///
-/// An arm that gets its torque beyond a boundary may stay there and get no worse than by `recovery`. As it comes back the
-/// bound comes back with it: to go out again is a violation of another name, so that it can be told from the worse one.
+/// An arm that gets its torque beyond a boundary may stay there and get no worse than by
+/// `recovery`. As it comes back the bound comes back with it: to go out again is a violation of
+/// another name, so that it can be told from the worse one.
 #[derive(Clone, Debug)]
 pub(super) struct Boundary {
     /// For commands and for their tails.
@@ -102,8 +103,8 @@ impl Boundary {
         ledger.judge(limit, excess, TOLERANCE, value, bound);
     }
 
-    /// A value that must be at least the bound and is known to be more than this needs no check: it is neither outside nor
-    /// nearer to the bound than any value before it.
+    /// A value that must be at least the bound and is known to be more than this needs no check: it
+    /// is neither outside nor nearer to the bound than any value before it.
     pub(super) fn enough(&self, ledger: &Ledger, moment: Moment) -> f64 {
         self.bound + (-ledger.worst_excess(moment.of(self.limits))).max(0.0)
     }
@@ -121,7 +122,8 @@ impl Boundary {
         self.allowance = None;
     }
 
-    /// Something else than a command took the value from `before` to `after`; where that is outward, the bound moves with it.
+    /// Something else than a command took the value from `before` to `after`; where that is
+    /// outward, the bound moves with it.
     pub(super) fn was_moved(&mut self, before: f64, after: f64) {
         let worse = self.outside(after) - self.outside(before);
         if let Some(Allowance { first, left }) = &mut self.allowance

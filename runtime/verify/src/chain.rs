@@ -1,4 +1,5 @@
-//! Forward kinematics for the checker: the product of the elementary motions of each row of the arm's table.
+//! Forward kinematics for the checker: the product of the elementary motions of each row of the
+//! arm's table.
 
 use hal::psm::{DH, DhRow, FINGER_M, JAW_MAX, TIP_FROM_WRIST_YAW};
 use hal::{JointVector, Pose};
@@ -68,7 +69,8 @@ impl Instrument {
 
 /// Tip pose in the RCM frame at `joints`.
 ///
-/// Multiplied out row by row, where the controller has a closed form: a mistake in one is not repeated in the other.
+/// Multiplied out row by row, where the controller has a closed form: a mistake in one is not
+/// repeated in the other.
 #[must_use]
 pub fn tip_in_rcm(joints: &JointVector) -> Pose {
     let rows = DH.iter().zip(joints.iter());

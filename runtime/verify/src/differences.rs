@@ -1,8 +1,9 @@
 //! Velocity, acceleration and jerk of a setpoint sequence, by divided differences.
 //!
-//! A divided difference of order k over k + 1 samples, times k!, is a mean of the k-th derivative between them, at whatever
-//! times they were taken. So if the derivative keeps a bound, the quotient does too, whatever happens between the samples: in
-//! periods that were skipped as well. No tolerance beyond rounding is needed.
+//! A divided difference of order k over k + 1 samples, times k!, is a mean of the k-th derivative
+//! between them, at whatever times they were taken. So if the derivative keeps a bound, the
+//! quotient does too, whatever happens between the samples: in periods that were skipped as well.
+//! No tolerance beyond rounding is needed.
 
 /// Joints and the jaw.
 pub(super) const AXES: usize = hal::JOINT_COUNT + 1;
@@ -60,14 +61,15 @@ impl History {
 
     /// What the sample at `index`, of that `age`, is divided by.
     fn divisor(&self, index: usize, age: f64, order: usize) -> f64 {
-        // Whole numbers, so that the weights are those of the binomials where no period was skipped.
+        // Whole numbers, so that the weights are those of the binomials where no period was
+        // skipped.
         let others = self.ages.iter().take(order + 1).enumerate();
         let distances = others.filter(|(other, _)| *other != index);
         distances.map(|(_, other)| other - age).product()
     }
 
-    /// Difference quotient of `order` 1 (velocity), 2 (acceleration) or 3 (jerk) of one axis; `None` while there are
-    /// too few samples.
+    /// Difference quotient of `order` 1 (velocity), 2 (acceleration) or 3 (jerk) of one axis;
+    /// `None` while there are too few samples.
     pub(super) fn quotient(&self, axis: usize, order: usize, period_s: f64) -> Option<Quotient> {
         let factorial = FACTORIALS.get(order)?;
         if order == 0 || self.count <= order {

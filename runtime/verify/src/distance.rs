@@ -1,13 +1,15 @@
 //! Distances by search, where the controller has closed forms.
 //!
-//! How far a point is from a convex shape is a convex function of the point, and it changes no faster than the point
-//! moves. The first makes a golden-section search along a segment find its least value, the second says how far from
-//! it a search can still be. All that has to be right about a shape is the distance of one point.
+//! How far a point is from a convex shape is a convex function of the point, and it changes no
+//! faster than the point moves. The first makes a golden-section search along a segment find its
+//! least value, the second says how far from it a search can still be. All that has to be right
+//! about a shape is the distance of one point.
 
 use hal::psm::SHAFT_RADIUS_M;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-/// Length to which the nearest place of a segment is found, m; the distance found is too long by no more.
+/// Length to which the nearest place of a segment is found, m; the distance found is too long by no
+/// more.
 const RESOLUTION_M: f64 = 1e-9;
 
 /// A segment of the length of a light year would be searched to the end.
@@ -75,8 +77,9 @@ fn distance_to_segment_m(point: &Point3<f64>, start: &Point3<f64>, end: &Point3<
     (point - (start + along * fraction.clamp(0.0, 1.0))).norm()
 }
 
-/// The gap between `shape` and the surface of a part of the instrument whose centre line goes from `start` to `end`, m; negative
-/// where they overlap. `None` if it is proven to be more than `enough_m`. NaN if the line is not finite.
+/// The gap between `shape` and the surface of a part of the instrument whose centre line goes from
+/// `start` to `end`, m; negative where they overlap. `None` if it is proven to be more than
+/// `enough_m`. NaN if the line is not finite.
 ///
 /// Wrist and fingers are thinner than the shaft; they count as thick as it is.
 pub(super) fn least_gap_m(
@@ -89,8 +92,8 @@ pub(super) fn least_gap_m(
     distance_m.map(|distance_m| distance_m - SHAFT_RADIUS_M)
 }
 
-/// The least distance between `shape` and the segment from `start` to `end`, m; negative inside. `None` if it is proven to
-/// be more than `enough_m`. NaN if the segment is not finite.
+/// The least distance between `shape` and the segment from `start` to `end`, m; negative inside.
+/// `None` if it is proven to be more than `enough_m`. NaN if the segment is not finite.
 fn least_distance_m(
     shape: &Shape,
     start: &Point3<f64>,
@@ -103,7 +106,8 @@ fn least_distance_m(
         return Some(f64::NAN);
     }
     let at = |share: f64| shape.distance_m(&(start + along * share));
-    // The least value lies between `low` and `high`; `left` and `right` cut that by the golden section.
+    // The least value lies between `low` and `high`; `left` and `right` cut that by the golden
+    // section.
     let (mut low, mut high) = (0.0, 1.0);
     let (mut left, mut right) = (1.0 - GOLDEN, GOLDEN);
     let (mut at_left, mut at_right) = (at(left), at(right));

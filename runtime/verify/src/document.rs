@@ -1,6 +1,7 @@
 //! A configuration text, looked up by key.
 //!
-//! In the plain TOML tables: the controller's own parser is one of the things that are checked here.
+//! In the plain TOML tables: the controller's own parser is one of the things that are checked
+//! here.
 
 use nalgebra::Vector3;
 use toml::{Table, Value};

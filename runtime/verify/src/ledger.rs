@@ -22,7 +22,8 @@ pub struct Worst {
     pub value: f64,
     /// The bound on its side that held then.
     pub bound: f64,
-    /// How far within the bound it was, in the value's unit; negative beyond it. A velocity's bound is on its absolute value.
+    /// How far within the bound it was, in the value's unit; negative beyond it. A velocity's bound
+    /// is on its absolute value.
     pub margin: f64,
     /// Ticks in which the limit was broken.
     pub broken: u64,
@@ -87,8 +88,8 @@ impl Ledger {
         LimitId(self.limits.len() - 1)
     }
 
-    /// Notes that `value` exceeds `bound` by `excess`, which may be negative: a violation unless it is at most `tolerance`.
-    /// NaN is one.
+    /// Notes that `value` exceeds `bound` by `excess`, which may be negative: a violation unless it
+    /// is at most `tolerance`. NaN is one.
     pub(super) fn judge(
         &mut self,
         limit: LimitId,
@@ -117,7 +118,8 @@ impl Ledger {
         }
     }
 
-    /// The largest excess over `limit` until now; minus infinity before the first, or after NaN, which nothing tops.
+    /// The largest excess over `limit` until now; minus infinity before the first, or after NaN,
+    /// which nothing tops.
     pub(super) fn worst_excess(&self, limit: LimitId) -> f64 {
         let worst = self.limits.get(limit.0).and_then(|entry| entry.worst);
         worst.map_or(f64::NEG_INFINITY, |worst| worst.excess)

@@ -44,9 +44,11 @@ pub struct VerifyResult {
     pub violations: Vec<Violation>,
     /// How near the measured arms came to each boundary while they held torque.
     pub measured: Vec<MeasuredClearance>,
-    /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
+    /// Why the log ends before its end, if it does; the rest of the result is about what comes
+    /// before.
     pub cut: Option<String>,
-    /// Whether that is the log's own bound alone: what it kept is whole, and there is nothing else to check.
+    /// Whether that is the log's own bound alone: what it kept is whole, and there is nothing else
+    /// to check.
     pub bounded: bool,
 }
 
@@ -57,10 +59,12 @@ pub struct Violation {
     pub tick: u64,
     /// The arm; `psm1+psm2` if the limit is between two.
     pub arm: String,
-    /// The limit: `yaw.velocity`, `tip_speed`, `workspace.left_finger_tip.z_min`, `forbidden.vessel.shaft`,
-    /// `between_arms.shaft.shaft`, `yaw.disabled_position`; of a safe tail `tail.yaw.velocity`. With `.again` at the end, an arm
-    /// that was enabled beyond a boundary had come back and went out again. With `measured.` in front, `measured.forbidden.vessel.shaft`,
-    /// the measured arm was beyond the boundary, whatever was commanded.
+    /// The limit: `yaw.velocity`, `tip_speed`, `workspace.left_finger_tip.z_min`,
+    /// `forbidden.vessel.shaft`, `between_arms.shaft.shaft`, `yaw.disabled_position`; of a safe
+    /// tail `tail.yaw.velocity`. With `.again` at the end, an arm that was enabled beyond a
+    /// boundary had come back and went out again. With `measured.` in front,
+    /// `measured.forbidden.vessel.shaft`, the measured arm was beyond the boundary, whatever was
+    /// commanded.
     pub limit: String,
     /// What was commanded.
     pub value: f64,

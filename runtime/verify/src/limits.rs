@@ -186,7 +186,8 @@ fn shape(entry: &Entry<'_>) -> Result<Shape, VerifyError> {
     Ok(shape)
 }
 
-/// A frame at `place_m`, turned by roll about the fixed x, then pitch about the fixed y, then yaw about the fixed z.
+/// A frame at `place_m`, turned by roll about the fixed x, then pitch about the fixed y, then yaw
+/// about the fixed z.
 fn pose(place_m: &Vector3<f64>, rpy_rad: &Vector3<f64>) -> Pose {
     let about = |axis, angle| UnitQuaternion::from_axis_angle(&axis, angle);
     let roll = about(Vector3::x_axis(), rpy_rad.x);

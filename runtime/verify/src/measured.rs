@@ -1,4 +1,5 @@
-//! Where the measured arms are: commands keep their distance, and an arm that lags behind its commands may still come too near.
+//! Where the measured arms are: commands keep their distance, and an arm that lags behind its
+//! commands may still come too near.
 
 use hal::ArmState;
 use serde::Serialize;
@@ -40,7 +41,8 @@ pub(super) struct Nearest {
 struct Part {
     name: String,
     limit: LimitId,
-    /// Whether it was well within its boundary since the arm got its torque: only then can it be said to have gone out.
+    /// Whether it was well within its boundary since the arm got its torque: only then can it be
+    /// said to have gone out.
     was_within: bool,
 }
 
@@ -65,7 +67,8 @@ impl Nearest {
         }
     }
 
-    /// Takes in one tick; `clearance_m` gives that of a part, or none if it is more than what it is asked for.
+    /// Takes in one tick; `clearance_m` gives that of a part, or none if it is more than what it is
+    /// asked for.
     pub(super) fn tick(
         &mut self,
         ledger: &mut Ledger,

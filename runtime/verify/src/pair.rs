@@ -1,4 +1,5 @@
-//! The gaps between two instruments: their shafts, and the tips of either from the shaft of the other. Tips may meet.
+//! The gaps between two instruments: their shafts, and the tips of either from the shaft of the
+//! other. Tips may meet.
 
 use hal::psm::SHAFT_RADIUS_M;
 use nalgebra::Point3;
@@ -82,7 +83,8 @@ impl Pair {
 
     /// Checks the newest commands of both arms, unless neither has torque.
     ///
-    /// What an arm without torque is pushed to is not the other one's doing: the bounds move with it.
+    /// What an arm without torque is pushed to is not the other one's doing: the bounds move with
+    /// it.
     pub(super) fn tick(&mut self, ledger: &mut Ledger, newest: [&Newest; 2]) {
         self.seen(ledger, newest);
         let now = newest.map(|newest| newest.at);

@@ -56,9 +56,11 @@ impl Stream {
         })
     }
 
-    /// Checks the commands of `tick`, each with what its arm had measured, in the order of the arms in `safety.toml`.
+    /// Checks the commands of `tick`, each with what its arm had measured, in the order of the arms
+    /// in `safety.toml`.
     ///
-    /// Without the second arm neither it nor the gaps between the two are checked. More arms than the file has are a violation.
+    /// Without the second arm neither it nor the gaps between the two are checked. More arms than
+    /// the file has are a violation.
     pub fn tick(&mut self, tick: u64, arms: &[(&ArmCommand, &Result<ArmState, ArmError>)]) {
         self.ledger.tick = tick;
         self.commanded = arms.len();
@@ -77,18 +79,19 @@ impl Stream {
         }
     }
 
-    /// Checks the safe tails that travel with the commands of the newest [`Self::tick`], in the same order.
+    /// Checks the safe tails that travel with the commands of the newest [`Self::tick`], in the
+    /// same order.
     ///
-    /// A tail goes on from its command, keeps every limit of the axes at every moment and every other limit in every
-    /// millisecond, and ends at rest. Two tails are played together. Limits are named as those of commands, with `tail.` in
-    /// front.
+    /// A tail goes on from its command, keeps every limit of the axes at every moment and every
+    /// other limit in every millisecond, and ends at rest. Two tails are played together. Limits
+    /// are named as those of commands, with `tail.` in front.
     pub fn tails(&mut self, tails: &[&SafeTail]) {
         self.tails
             .check(&mut self.ledger, &mut self.arms, self.pair.as_mut(), tails);
     }
 
-    /// Checks the time of the newest [`Self::tick`], which is `now`: it is after all that came before, missing ticks too, and its commands
-    /// are of then.
+    /// Checks the time of the newest [`Self::tick`], which is `now`: it is after all that came
+    /// before, missing ticks too, and its commands are of then.
     pub fn clock(&mut self, now: TimeNs) {
         #[expect(clippy::cast_precision_loss, reason = "for people")]
         let number = |ns: u64| ns as f64;
@@ -108,7 +111,8 @@ impl Stream {
         }
     }
 
-    /// How near the measured arms came to each boundary, and to one another, while they held torque.
+    /// How near the measured arms came to each boundary, and to one another, while they held
+    /// torque.
     #[must_use]
     pub fn measured(&self) -> Vec<MeasuredClearance> {
         let arms = self.arms.iter().flat_map(|arm| arm.measured.found());

@@ -45,7 +45,8 @@ impl TailAxis {
         let [velocity, acceleration, jerk] = limits.derivatives;
         Self {
             bounds: limits.derivatives,
-            // At worst the acceleration speeds the axis up and goes first; then the brake comes, holds and goes.
+            // At worst the acceleration speeds the axis up and goes first; then the brake comes,
+            // holds and goes.
             duration_s_max: velocity / acceleration + 3.0 * acceleration / jerk,
             derivatives: DERIVATIVES.map(|what| ledger.open(arm, name(what))),
             start: ["position", "velocity", "acceleration"]
@@ -189,7 +190,8 @@ impl Tails {
         }
     }
 
-    /// Plays the tails of all arms for a period and checks where the arms are then, each and beside each other.
+    /// Plays the tails of all arms for a period and checks where the arms are then, each and beside
+    /// each other.
     fn step_all(
         &self,
         ledger: &mut Ledger,
@@ -295,7 +297,8 @@ impl Tails {
     }
 }
 
-/// Position, velocity and acceleration of each axis as commanded; a command has no acceleration of the jaw.
+/// Position, velocity and acceleration of each axis as commanded; a command has no acceleration of
+/// the jaw.
 fn expected(newest: &Newest) -> [[Option<f64>; 3]; AXES] {
     let command = &newest.command;
     let (positions, velocities) = (positions(command), velocities(command));

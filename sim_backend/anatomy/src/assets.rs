@@ -1,7 +1,8 @@
 //! A patient as files that other programs open: glTF (`.glb`) and OpenUSD (`.usda`, `.usdz`).
 //!
-//! Coordinates are the scan's world, right-anterior-superior, in metres. OpenUSD has z upwards, as the scan; glTF's y upwards and z
-//! forward come from a rotation at the root, and its meshes keep the scan's coordinates.
+//! Coordinates are the scan's world, right-anterior-superior, in metres. OpenUSD has z upwards, as
+//! the scan; glTF's y upwards and z forward come from a rotation at the root, and its meshes keep
+//! the scan's coordinates.
 
 mod foreign;
 mod glb;

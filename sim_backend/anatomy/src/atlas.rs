@@ -1,6 +1,8 @@
-//! Texture coordinates: charts of triangles that face the same of six directions, seen along it, side by side in the unit square.
+//! Texture coordinates: charts of triangles that face the same of six directions, seen along it,
+//! side by side in the unit square.
 //!
-//! Every triangle keeps at least 58 % of its area. No two overlap: a chart takes a triangle only if it covers none that is there.
+//! Every triangle keeps at least 58 % of its area. No two overlap: a chart takes a triangle only if
+//! it covers none that is there.
 
 mod chart;
 mod pack;

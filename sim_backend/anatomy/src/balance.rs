@@ -1,8 +1,10 @@
-//! Volumes of all groups at once brought to what they should be, by moving the surfaces between them along their normals.
+//! Volumes of all groups at once brought to what they should be, by moving the surfaces between
+//! them along their normals.
 //!
-//! How far the surface between groups a and b moves is the difference of two potentials, p_a - p_b. Of all moves that give each group its
-//! volume, to first order, these change the surfaces least; the potentials solve a Laplace equation on the graph of groups, weighted by
-//! the areas of their common surfaces.
+//! How far the surface between groups a and b moves is the difference of two potentials, p_a - p_b.
+//! Of all moves that give each group its volume, to first order, these change the surfaces least;
+//! the potentials solve a Laplace equation on the graph of groups, weighted by the areas of their
+//! common surfaces.
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
@@ -46,8 +48,9 @@ fn potentials(complex: &Complex, wanted: &[f64]) -> Option<DVector<f64>> {
     laplace.lu().solve(&right)
 }
 
-/// Moves vertices so that each group has its volume of `targets` (mm³ by group number), none by more than `most_mm`, and each to where
-/// `hold` lets it: of a vertex and the place it would go to that gives the place where it goes.
+/// Moves vertices so that each group has its volume of `targets` (mm³ by group number), none by
+/// more than `most_mm`, and each to where `hold` lets it: of a vertex and the place it would go to
+/// that gives the place where it goes.
 ///
 /// Later rounds take what the first left by curvature and by what was held.
 pub(crate) fn balance(

@@ -47,13 +47,15 @@ pub struct Options {
     pub min_island_mm3: f64,
     /// Pairs of smoothing steps.
     pub smoothing: usize,
-    /// Whether distances are measured after each stage that moves surfaces, rather than of the result alone.
+    /// Whether distances are measured after each stage that moves surfaces, rather than of the
+    /// result alone.
     pub measure_stages: bool,
     /// Side of the cells of the lattice of tetrahedra, mm; none if there are to be none.
     pub tetrahedra_mm: Option<f64>,
     /// Side of the groups' textures, pixels; none if there are to be none.
     pub textures_px: Option<u32>,
-    /// How many coarser levels of detail there are to be, each with twice the error of the one before, at most [`LEVELS_MAX`].
+    /// How many coarser levels of detail there are to be, each with twice the error of the one
+    /// before, at most [`LEVELS_MAX`].
     pub levels: u32,
 }
 
@@ -82,7 +84,8 @@ pub struct Patient {
     pub meshes: Vec<GroupMesh>,
     /// Tetrahedra of the groups that have any, if they were asked for.
     pub tetrahedra: Vec<Tetrahedra>,
-    /// Coarser meshes, a level of detail each, if they were asked for; the same groups in the same order, but for those that vanish.
+    /// Coarser meshes, a level of detail each, if they were asked for; the same groups in the same
+    /// order, but for those that vanish.
     pub levels: Vec<Vec<GroupMesh>>,
     /// What was made.
     pub report: Report,
@@ -114,7 +117,8 @@ fn targets(volume: &Padded) -> Vec<f64> {
     volume.counts().iter().take(32).map(mm3).collect()
 }
 
-/// What was changed, and the volumes that meshes shall have: those before voxels that touch are separated, which is for the surfaces' sake.
+/// What was changed, and the volumes that meshes shall have: those before voxels that touch are
+/// separated, which is for the surfaces' sake.
 fn repair(volume: &mut Padded, groups: &Groups, options: &Options) -> (Cleaned, Vec<f64>) {
     let least = (options.min_island_mm3 / volume.grid.voxel_mm3()).ceil();
     let mut cleaned = remove_islands(volume, floor_to(least, 1 << 30) as u64);
@@ -160,7 +164,8 @@ fn coarser(
         .unzip()
 }
 
-/// Makes a patient of the labels in `path`; `watch` is told each stage as it begins, but for [`Stage::Write`].
+/// Makes a patient of the labels in `path`; `watch` is told each stage as it begins, but for
+/// [`Stage::Write`].
 ///
 /// The same file and options give the same patient, on however many cores.
 ///
@@ -273,9 +278,10 @@ fn assets<'a>(meshes: &'a [GroupMesh], groups: &'a Groups) -> Vec<Asset<'a>> {
     meshes.iter().map(plain).collect()
 }
 
-/// Writes `patient.glb`, `patient.usda`, the same in `patient.usdz`, `patient.json` (the report) and, as far as they were asked for,
-/// `tetrahedra.usda`, `patient-textured.glb` and `.usdz`, and coarser levels (`patient-level-1.usda` and following) with
-/// `patient-levels.usda`, which has all as variants, into `folder`, which is made.
+/// Writes `patient.glb`, `patient.usda`, the same in `patient.usdz`, `patient.json` (the report)
+/// and, as far as they were asked for, `tetrahedra.usda`, `patient-textured.glb` and `.usdz`, and
+/// coarser levels (`patient-level-1.usda` and following) with `patient-levels.usda`, which has all
+/// as variants, into `folder`, which is made.
 ///
 /// # Errors
 /// [`BuildError::Unwritable`].
@@ -312,7 +318,8 @@ pub fn write(patient: &Patient, groups: &Groups, folder: &Path) -> Result<(), Bu
     Ok(())
 }
 
-/// `patient-textured.glb` and `patient-textured.usdz`, which have a texture a group in them, if they are asked for.
+/// `patient-textured.glb` and `patient-textured.usdz`, which have a texture a group in them, if
+/// they are asked for.
 fn textured(patient: &Patient, groups: &Groups) -> io::Result<[(String, Option<Vec<u8>>); 2]> {
     let file = |suffix: &str, bytes| (format!("patient-textured.{suffix}"), bytes);
     let Some(side) = patient.report.options.textures_px else {

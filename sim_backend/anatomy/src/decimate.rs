@@ -1,9 +1,12 @@
-//! Decimation by edge collapse with quadric errors (Garland and Heckbert 1997), of the surfaces between all groups at once.
+//! Decimation by edge collapse with quadric errors (Garland and Heckbert 1997), of the surfaces
+//! between all groups at once.
 //!
-//! Each group's surface stays a closed manifold: an edge collapses only if the link condition holds on the surface of every group at it.
-//! Lines where three groups meet collapse along themselves, points where more meet stay. The error is bounded, not estimated: every
-//! vertex of the fine surface is kept as a sample of the triangle nearest to it, and no collapse takes a sample farther than the bound
-//! from triangles between the same two groups. And no collapse lets a triangle cross another of its part.
+//! Each group's surface stays a closed manifold: an edge collapses only if the link condition holds
+//! on the surface of every group at it. Lines where three groups meet collapse along themselves,
+//! points where more meet stay. The error is bounded, not estimated: every vertex of the fine
+//! surface is kept as a sample of the triangle nearest to it, and no collapse takes a sample
+//! farther than the bound from triangles between the same two groups. And no collapse lets a
+//! triangle cross another of its part.
 
 mod cells;
 mod collapse;
@@ -36,10 +39,11 @@ struct Sampled {
     whole: Vec<u32>,
 }
 
-/// `complex` with far fewer triangles, none of its vertices farther than `error_mm` from the result's triangles between the same groups.
+/// `complex` with far fewer triangles, none of its vertices farther than `error_mm` from the
+/// result's triangles between the same groups.
 ///
-/// Parts run on all cores with the vertices between them kept, then all once more as a whole. The result depends on neither cores nor
-/// their timing.
+/// Parts run on all cores with the vertices between them kept, then all once more as a whole. The
+/// result depends on neither cores nor their timing.
 #[must_use]
 pub fn decimate(complex: Complex, error_mm: f64) -> Complex {
     let parts = split(&complex);
@@ -91,7 +95,8 @@ fn split(complex: &Complex) -> Vec<Sampled> {
         .collect()
 }
 
-/// The triangles of `list` with vertices of their own; a vertex is sampled where it is first met, a shared one in each part.
+/// The triangles of `list` with vertices of their own; a vertex is sampled where it is first met, a
+/// shared one in each part.
 fn part(complex: &Complex, list: &[usize], shared: &[bool]) -> Sampled {
     let mut vertices: Vec<u32> = list.iter().flat_map(|t| complex.triangles[*t]).collect();
     vertices.sort_unstable();
@@ -124,7 +129,8 @@ fn part(complex: &Complex, list: &[usize], shared: &[bool]) -> Sampled {
     }
 }
 
-/// Parts put together again at the vertices that they share; `count` is how many vertices the whole once had.
+/// Parts put together again at the vertices that they share; `count` is how many vertices the whole
+/// once had.
 fn merge(parts: Vec<Sampled>, count: usize) -> Sampled {
     let mut merged = Sampled::default();
     let mut known = BTreeMap::new();

@@ -1,7 +1,8 @@
 //! A CT from a folder with a DICOM series: one slice a file, uncompressed.
 //!
-//! Files are put in order by where they are in the patient, not by name or number. A series that is mixed with another, lacks a slice or
-//! has two at one place is refused: meshes of it would be wrong and look right.
+//! Files are put in order by where they are in the patient, not by name or number. A series that is
+//! mixed with another, lacks a slice or has two at one place is refused: meshes of it would be
+//! wrong and look right.
 
 mod arrange;
 mod attributes;

@@ -50,8 +50,8 @@ fn volume(a: &Point3<f64>, b: &Point3<f64>, c: &Point3<f64>, d: &Point3<f64>) ->
     (b - a).cross(&(c - a)).dot(&(d - a))
 }
 
-/// Whether an edge of the triangle `first` runs through the inside of `second`. Edges that end at a vertex of `second`, by their
-/// numbers, do not.
+/// Whether an edge of the triangle `first` runs through the inside of `second`. Edges that end at a
+/// vertex of `second`, by their numbers, do not.
 fn pierces(
     (numbers, first): (&[u32; 3], &[Point3<f64>; 3]),
     (others, second): (&[u32; 3], &[Point3<f64>; 3]),

@@ -69,7 +69,8 @@ impl Grid {
         self.steps.determinant().abs()
     }
 
-    /// Whether the axes of the file are a left-handed set in the world, so that what winds one way there winds the other here.
+    /// Whether the axes of the file are a left-handed set in the world, so that what winds one way
+    /// there winds the other here.
     #[must_use]
     pub fn is_mirrored(&self) -> bool {
         self.steps.determinant() < 0.0
@@ -100,8 +101,8 @@ pub struct Turn {
 }
 
 impl Grid {
-    /// How the axes have to be permuted and reversed to lead in the directions nearest to `wanted`, such as `RAS`; none if those are not
-    /// three directions.
+    /// How the axes have to be permuted and reversed to lead in the directions nearest to `wanted`,
+    /// such as `RAS`; none if those are not three directions.
     #[must_use]
     pub fn turn_to(&self, wanted: &str) -> Option<Turn> {
         let letters: Vec<char> = wanted.chars().collect();

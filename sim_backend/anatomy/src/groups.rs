@@ -144,10 +144,12 @@ fn numbers<'a>(
 }
 
 impl Groups {
-    /// The paper's 17 groups with the table of labels `table`: `vista3d`, `totalsegmentator`, `groups`, or a file like these.
+    /// The paper's 17 groups with the table of labels `table`: `vista3d`, `totalsegmentator`,
+    /// `groups`, or a file like these.
     ///
     /// # Errors
-    /// [`ConfigError`] naming file, line and key: no such group, a label twice, a label that is not a number.
+    /// [`ConfigError`] naming file, line and key: no such group, a label twice, a label that is not
+    /// a number.
     pub fn load(table: &str) -> Result<Self, ConfigError> {
         let built_in = TABLES.iter().find(|(name, ..)| *name == table);
         let (place, source) = match built_in {
@@ -205,7 +207,8 @@ impl Groups {
         })
     }
 
-    /// The group of `label`: 0 for the background, else its index plus 1; none if the table does not have it.
+    /// The group of `label`: 0 for the background, else its index plus 1; none if the table does
+    /// not have it.
     #[must_use]
     pub fn group_of(&self, label: u16) -> Option<u8> {
         self.quick[usize::from(label)]
@@ -244,7 +247,8 @@ mod tests {
         }
     }
 
-    /// VISTA3D's classes are 132 numbers of which its weights do not support five; the others are MAISI's.
+    /// VISTA3D's classes are 132 numbers of which its weights do not support five; the others are
+    /// MAISI's.
     #[test]
     fn all_classes_of_vista3d_have_a_place() {
         let vista = Groups::load("vista3d").expect("the table is right");

@@ -33,7 +33,8 @@ pub struct Measures {
     pub volume_ratio: f64,
     /// Whether every edge has two triangles.
     pub watertight: bool,
-    /// The largest distance between the mesh and the faces of its voxels, in either direction, voxels.
+    /// The largest distance between the mesh and the faces of its voxels, in either direction,
+    /// voxels.
     pub hausdorff_voxels: f64,
     /// The mean of the distances in both directions, voxels.
     pub mean_voxels: f64,
@@ -86,8 +87,8 @@ fn largest_and_sum(distances: &[f64]) -> (f64, f64) {
         .fold((0.0, 0.0), |(most, sum), d| (f64::max(most, *d), sum + d))
 }
 
-/// Measures `mesh` against its voxels in `volume`, and its volume against `voxels_mm3`; none if the lattice is flat or the group has no
-/// voxels.
+/// Measures `mesh` against its voxels in `volume`, and its volume against `voxels_mm3`; none if the
+/// lattice is flat or the group has no voxels.
 #[must_use]
 pub fn measure(mesh: &GroupMesh, volume: &Padded, voxels_mm3: f64) -> Option<Measures> {
     let group = u8::try_from(mesh.group + 1).ok()?;

@@ -91,7 +91,8 @@ impl GroupMesh {
         (0..self.triangles.len()).map(sixth).sum()
     }
 
-    /// Edges with the triangles at them, sorted: (lower vertex, higher vertex, triangle, whether it runs from low to high).
+    /// Edges with the triangles at them, sorted: (lower vertex, higher vertex, triangle, whether it
+    /// runs from low to high).
     pub(crate) fn edges(&self) -> Vec<(u32, u32, u32, bool)> {
         let mut edges = Vec::with_capacity(3 * self.triangles.len());
         for (t, [a, b, c]) in self.triangles.iter().enumerate() {

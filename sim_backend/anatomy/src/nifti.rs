@@ -1,7 +1,9 @@
-//! NIfTI-1 volumes in one file (`.nii`, `.nii.gz`), a slice at a time: what a file claims is checked before it costs memory.
+//! NIfTI-1 volumes in one file (`.nii`, `.nii.gz`), a slice at a time: what a file claims is
+//! checked before it costs memory.
 //!
-//! A reader of our own, since a volume of 150 million voxels need not be held in the file's type, and a damaged or hostile header must
-//! not decide how much is allocated. Format: <https://nifti.nimh.nih.gov/nifti-1/>.
+//! A reader of our own, since a volume of 150 million voxels need not be held in the file's type,
+//! and a damaged or hostile header must not decide how much is allocated. Format:
+//! <https://nifti.nimh.nih.gov/nifti-1/>.
 
 mod header;
 mod read;

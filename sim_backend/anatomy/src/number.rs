@@ -1,4 +1,5 @@
-//! Numbers between the widths that voxels, triangles and files have. What does not fit is a programming error, and asserted.
+//! Numbers between the widths that voxels, triangles and files have. What does not fit is a
+//! programming error, and asserted.
 
 /// A count as a real number; exact below 2^53.
 #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]

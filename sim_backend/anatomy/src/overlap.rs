@@ -2,8 +2,8 @@
 
 use crate::number::real;
 
-/// Dice of each group 1 to `groups` between two volumes of group numbers: twice what both have by what each has; none for a group that
-/// neither has.
+/// Dice of each group 1 to `groups` between two volumes of group numbers: twice what both have by
+/// what each has; none for a group that neither has.
 ///
 /// # Panics
 /// If they have different numbers of voxels.

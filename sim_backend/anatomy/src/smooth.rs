@@ -1,7 +1,8 @@
-//! Smoothing of a net without shrinkage: Taubin's low-pass filter (1995), every vertex within half a voxel of where it began.
+//! Smoothing of a net without shrinkage: Taubin's low-pass filter (1995), every vertex within half
+//! a voxel of where it began.
 //!
-//! A vertex between two groups moves with all its neighbours, one on a line where three meet with those along that line, so that such
-//! lines become smooth and stay what they are.
+//! A vertex between two groups moves with all its neighbours, one on a line where three meet with
+//! those along that line, so that such lines become smooth and stay what they are.
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -18,7 +19,8 @@ const STEPS: [f64; 2] = [0.5, -0.53];
 /// No neighbour.
 const NONE: u32 = u32::MAX;
 
-/// Neighbours of a vertex along the six directions of the lattice, with the groups around the edge to each, a bit a group.
+/// Neighbours of a vertex along the six directions of the lattice, with the groups around the edge
+/// to each, a bit a group.
 #[derive(Clone, Copy)]
 struct Star {
     neighbours: [u32; 6],
@@ -132,10 +134,12 @@ fn moved(
     )
 }
 
-/// The place nearest to `target` that a vertex may have which began at `begin`, in voxel coordinates.
+/// The place nearest to `target` that a vertex may have which began at `begin`, in voxel
+/// coordinates.
 ///
-/// Where each stays in the cell of its own corner, triangles without a common vertex can't cross: each lies in the block of the cells
-/// of its quad, and blocks that have a cell in common have its vertex in common.
+/// Where each stays in the cell of its own corner, triangles without a common vertex can't cross:
+/// each lies in the block of the cells of its quad, and blocks that have a cell in common have its
+/// vertex in common.
 pub(crate) fn within_reach(begin: &Point3<f64>, target: Point3<f64>) -> Point3<f64> {
     begin + (target - begin).map(|x| x.clamp(-REACH, REACH))
 }

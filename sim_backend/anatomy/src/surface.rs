@@ -13,7 +13,7 @@ mod tests;
 pub enum Method {
     /// Surface nets of all groups at once: neighbours share vertices, without gap or overlap.
     Nets,
-    /// Marching cubes of each group alone. Neighbours' surfaces agree before they are smoothed where two groups meet, and leave gaps of up
-    /// to half a voxel where three do.
+    /// Marching cubes of each group alone. Neighbours' surfaces agree before they are smoothed
+    /// where two groups meet, and leave gaps of up to half a voxel where three do.
     MarchingCubes,
 }

@@ -1,7 +1,9 @@
-//! Tetrahedra that fill a group's mesh, for finite elements: a body-centred cubic lattice, clipped to the mesh.
+//! Tetrahedra that fill a group's mesh, for finite elements: a body-centred cubic lattice, clipped
+//! to the mesh.
 //!
-//! Of the lattice's tetrahedra those stay whose middles lie in the mesh. Vertices at the boundary go to the surface as far as no
-//! tetrahedron becomes flat, and then a little along their normals, until the volume is the mesh's.
+//! Of the lattice's tetrahedra those stay whose middles lie in the mesh. Vertices at the boundary
+//! go to the surface as far as no tetrahedron becomes flat, and then a little along their normals,
+//! until the volume is the mesh's.
 
 mod lattice;
 
@@ -26,7 +28,8 @@ const VOLUME: f64 = 0.002;
 /// How often the lattice may be made finer where tissue is thinner than it.
 const FINER_MAX: u32 = 3;
 
-/// Most of the mesh's volume that the lattice's tetrahedra may lack or have too much before they are moved.
+/// Most of the mesh's volume that the lattice's tetrahedra may lack or have too much before they
+/// are moved.
 const ROUGH: f64 = 0.15;
 
 /// Most that the mesh's vertices may be from the surface in the mean, in sides of a cell.
@@ -44,7 +47,8 @@ pub struct Tetrahedra {
     pub side_mm: f64,
     /// Places of vertices, mm.
     pub positions: Vec<Point3<f64>>,
-    /// Corners of tetrahedra: the fourth is where the other three are seen counter-clockwise from behind, so that volumes are positive.
+    /// Corners of tetrahedra: the fourth is where the other three are seen counter-clockwise from
+    /// behind, so that volumes are positive.
     pub corners: Vec<[u32; 4]>,
     /// Faces that have one tetrahedron, counter-clockwise from outside.
     pub surface: Vec<[u32; 3]>,
@@ -57,10 +61,12 @@ fn sixfold(positions: &[Point3<f64>], corners: &[u32; 4]) -> f64 {
 }
 
 impl Tetrahedra {
-    /// Fills `mesh` by a lattice whose cells have sides of `side_mm`, or of a half, a quarter or an eighth where it is too thin for them.
+    /// Fills `mesh` by a lattice whose cells have sides of `side_mm`, or of a half, a quarter or an
+    /// eighth where it is too thin for them.
     ///
     /// # Errors
-    /// Why the group has none: it would be more than [`TETRAHEDRA_MAX`], or its volume is not met within 1 %, nor its surface.
+    /// Why the group has none: it would be more than [`TETRAHEDRA_MAX`], or its volume is not met
+    /// within 1 %, nor its surface.
     pub fn fill(mesh: &GroupMesh, side_mm: f64) -> Result<Self, String> {
         let wanted = mesh.volume_mm3();
         let mut side = side_mm;
@@ -97,7 +103,8 @@ impl Tetrahedra {
         all.sum::<f64>() / real(mesh.positions.len().max(1))
     }
 
-    /// The least volume of a tetrahedron to one of the lattice; positive where none is turned inside out.
+    /// The least volume of a tetrahedron to one of the lattice; positive where none is turned
+    /// inside out.
     #[must_use]
     pub fn least_share(&self) -> f64 {
         let all = self.corners.iter().map(|t| sixfold(&self.positions, t));

@@ -1,6 +1,7 @@
 //! Base-colour textures: what tissue looks like near by, painted over a mesh's UV square.
 //!
-//! A colour depends on the place in the scan, so it goes on across seams, and neighbours that share a surface share their pattern.
+//! A colour depends on the place in the scan, so it goes on across seams, and neighbours that share
+//! a surface share their pattern.
 
 mod noise;
 
@@ -24,7 +25,8 @@ const BLOOD: [f64; 3] = [0.24, 0.015, 0.015];
 /// How far charts are dilated, pixels: for filters, and two levels of mipmaps.
 const DILATION_PX: usize = 4;
 
-/// Widths of vessels, as shares of the distance between them; distances, mm; and how much blood shows.
+/// Widths of vessels, as shares of the distance between them; distances, mm; and how much blood
+/// shows.
 const VESSELS: [(f64, f64, f64); 2] = [(0.06, 13.0, 0.75), (0.05, 5.0, 0.45)];
 
 impl Pattern {
@@ -42,7 +44,8 @@ impl Pattern {
                 let shade = 1.0 + 0.14 * fractal(&(p / 10.0), 21) + 0.05 * noise(&(p / 1.3), 22);
                 let mut colour = shaded(shade);
                 for (seed, (width, apart_mm, much)) in (100..).step_by(100).zip(VESSELS) {
-                    // A surface where noise changes its sign cuts the organ's in lines; not all of them are vessels.
+                    // A surface where noise changes its sign cuts the organ's in lines; not all of
+                    // them are vessels.
                     let winding = domain_warped(&(p / apart_mm), 0.5, seed + 2);
                     let line = 1.0 - smoothstep(noise(&winding, seed).abs(), width);
                     let there = smoothstep(noise(&(p / (2.5 * apart_mm)), seed + 1) + 0.25, 0.3);
@@ -69,7 +72,8 @@ impl Pattern {
     }
 }
 
-/// Where each pixel of a square of `side` lies on `mesh`, mm, row by row from the top; none where no triangle is.
+/// Where each pixel of a square of `side` lies on `mesh`, mm, row by row from the top; none where
+/// no triangle is.
 fn places(mesh: &GroupMesh, side: usize) -> Vec<Option<Point3<f64>>> {
     let mut places = vec![None; side * side];
     for (triangle, uv) in mesh.uv.iter().enumerate() {
@@ -139,7 +143,8 @@ fn encoded(colour: [f64; 3]) -> [u8; 3] {
     })
 }
 
-/// The texture of `side` by `side` pixels of `mesh`, a mesh of `group`, as PNG: sRGB, the first row at v = 1.
+/// The texture of `side` by `side` pixels of `mesh`, a mesh of `group`, as PNG: sRGB, the first row
+/// at v = 1.
 ///
 /// # Errors
 /// [`ImageError`] if it can't be encoded.

@@ -1,6 +1,7 @@
 //! Procedural meshes: solids of revolution, boxes, tubes along a line, height fields.
 //!
-//! All in metres, with outward counter-clockwise triangles; see [`instrument`] for the parts of the arm's tool.
+//! All in metres, with outward counter-clockwise triangles; see [`instrument`] for the parts of the
+//! arm's tool.
 
 pub mod instrument;
 
@@ -9,7 +10,8 @@ use core::f64::consts::TAU;
 use hal::Mesh;
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
-/// Adds rows of equal length, joined by quads. `u` runs along a row, `v` over the rows; outside is where `u x v` points.
+/// Adds rows of equal length, joined by quads. `u` runs along a row, `v` over the rows; outside is
+/// where `u x v` points.
 fn sheet(mesh: &mut Mesh, rows: &[Vec<(Point3<f64>, Vector3<f64>)>]) {
     let mut before: Vec<u32> = Vec::new();
     for row in rows {
@@ -27,7 +29,8 @@ fn sheet(mesh: &mut Mesh, rows: &[Vec<(Point3<f64>, Vector3<f64>)>]) {
     }
 }
 
-/// A smooth sheet through rows of points, all of one length; outside is where `u x v` points, with `u` along a row and `v` over the rows.
+/// A smooth sheet through rows of points, all of one length; outside is where `u x v` points, with
+/// `u` along a row and `v` over the rows.
 #[must_use]
 pub fn smooth_sheet(rows: &[Vec<Point3<f64>>]) -> Mesh {
     let rate = |row: usize, point: usize, along_row: bool| {
@@ -108,8 +111,8 @@ pub fn cylinder(radius_m: f64, z_from_m: f64, z_to_m: f64, segments: u32) -> Mes
     )
 }
 
-/// A solid of revolution about z with sharp edges, from a profile of `[radius, z]` points that goes from the lower end
-/// of the axis to the upper one.
+/// A solid of revolution about z with sharp edges, from a profile of `[radius, z]` points that goes
+/// from the lower end of the axis to the upper one.
 #[must_use]
 pub fn revolved(profile_m: &[[f64; 2]], segments: u32) -> Mesh {
     let mut mesh = Mesh::default();
@@ -162,7 +165,8 @@ pub fn sphere(radius_m: f64, segments: u32) -> Mesh {
 
 /// A round tube through `points_m` with a radius at each, closed by half spheres.
 ///
-/// Fewer radii than points: the last one holds on. Fewer than two distinct points make an empty mesh.
+/// Fewer radii than points: the last one holds on. Fewer than two distinct points make an empty
+/// mesh.
 #[must_use]
 pub fn tube(points_m: &[Point3<f64>], radii_m: &[f64], segments: u32) -> Mesh {
     let mut line: Vec<Point3<f64>> = points_m.to_vec();
@@ -256,7 +260,8 @@ pub fn arc(radius_m: f64, from_rad: f64, to_rad: f64, steps: u32) -> Vec<Point3<
         .collect()
 }
 
-/// The surface `z = height(x, y)` over a rectangle about the origin, facing up, of `2 * cells^2` triangles.
+/// The surface `z = height(x, y)` over a rectangle about the origin, facing up, of `2 * cells^2`
+/// triangles.
 #[must_use]
 pub fn height_field(
     half_x_m: f64,

@@ -2,7 +2,8 @@
 
 use hal::{Mesh, Pose};
 
-/// Instance ids that scenes of several kinds use; 0 is background. Those of one kind alone lie in its module.
+/// Instance ids that scenes of several kinds use; 0 is background. Those of one kind alone lie in
+/// its module.
 pub mod instance {
     /// The organ or board that the task happens on.
     pub const ORGAN: u8 = 1;
@@ -83,7 +84,8 @@ pub struct Material {
     pub pattern: Pattern,
 }
 
-/// What is painted on a surface, and with which relief. It sticks to the surface as it was when it was uploaded.
+/// What is painted on a surface, and with which relief. It sticks to the surface as it was when it
+/// was uploaded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pattern {
     /// One even colour.
@@ -91,7 +93,8 @@ pub enum Pattern {
     Smooth,
     /// Fine grooves around the object's z axis, of machined metal.
     Brushed,
-    /// Pink, mottled, with vessels and faint fibres under serosa: muscle, and the wall of a hollow organ.
+    /// Pink, mottled, with vessels and faint fibres under serosa: muscle, and the wall of a hollow
+    /// organ.
     Muscle,
     /// A smooth capsule over faint lobules.
     Liver,
@@ -105,7 +108,8 @@ pub enum Pattern {
     Membrane,
 }
 
-/// What is behind all things: a floor and, around it, the wall of a cavity. It has no instance id and no depth.
+/// What is behind all things: a floor and, around it, the wall of a cavity. It has no instance id
+/// and no depth.
 #[derive(Clone, Copy, Debug)]
 pub struct Backdrop {
     /// Height of the floor in the scene frame, m.
@@ -116,7 +120,8 @@ pub struct Backdrop {
     pub walls: f32,
     /// Linear RGB of what metal mirrors from below: the colour that prevails in the scene.
     pub bounce: [f32; 3],
-    /// By how much longer a camera that looks across the endoscope's light is exposed in pictures for people.
+    /// By how much longer a camera that looks across the endoscope's light is exposed in pictures
+    /// for people.
     pub across: f64,
 }
 
@@ -168,11 +173,11 @@ pub struct Visual {
     pub material: Material,
     /// Its id in segmentation images.
     pub instance: u8,
-    /// Whether it stands where its mesh has it, in one frame with all others that do, in every picture. Finely shaded, these keep the light
-    /// from all around off each other.
+    /// Whether it stands where its mesh has it, in one frame with all others that do, in every
+    /// picture. Finely shaded, these keep the light from all around off each other.
     pub is_still: bool,
-    /// Where on the endless pattern of its material the middle of what is painted on it lies, mm: surfaces of one material with different places
-    /// don't look alike.
+    /// Where on the endless pattern of its material the middle of what is painted on it lies, mm:
+    /// surfaces of one material with different places don't look alike.
     pub pattern_at_mm: [f32; 2],
 }
 

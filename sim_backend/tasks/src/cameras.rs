@@ -1,5 +1,5 @@
-//! A task's cameras: they render a snapshot of the scene, in whatever thread they live. Nothing is drawn for a camera that
-//! no image is requested.
+//! A task's cameras: they render a snapshot of the scene, in whatever thread they live. Nothing is
+//! drawn for a camera that no image is requested.
 
 mod flap;
 mod model;
@@ -22,7 +22,8 @@ pub use model::SceneModel;
 const NEAR_M: f64 = 0.005;
 const FAR_M: f64 = 1.0;
 
-/// From which angle between their views on a camera looks across the endoscope's light, rad: more than two eyes are apart.
+/// From which angle between their views on a camera looks across the endoscope's light, rad: more
+/// than two eyes are apart.
 const ACROSS_RAD: f64 = 0.35;
 
 /// The cameras of one task, their light and the device that draws.
@@ -52,7 +53,8 @@ struct View {
 }
 
 impl SceneCameras {
-    /// Opens a device for the cameras of `task`, which stand as the file says until an episode begins.
+    /// Opens a device for the cameras of `task`, which stand as the file says until an episode
+    /// begins.
     ///
     /// # Errors
     /// [`SimulationError::Render`] if there is no device to render with.
@@ -73,8 +75,8 @@ impl SceneCameras {
         })
     }
 
-    /// Puts the cameras where `task` has them in the episode `seed`, and shows its needle in its light through its lenses: its
-    /// view and what it varies may be others in each.
+    /// Puts the cameras where `task` has them in the episode `seed`, and shows its needle in its
+    /// light through its lenses: its view and what it varies may be others in each.
     pub fn begin_episode(&mut self, task: &TaskConfig, seed: u64) {
         let drawn = task.drawn(seed);
         self.views = View::of_episode(task, seed, &drawn);
@@ -165,8 +167,8 @@ impl SceneCameras {
         Ok(())
     }
 
-    /// Takes an image from each of the cameras `which` into the frame at its place in `frames`: the same as one by one, but
-    /// without waiting for one before the next is begun.
+    /// Takes an image from each of the cameras `which` into the frame at its place in `frames`: the
+    /// same as one by one, but without waiting for one before the next is begun.
     ///
     /// # Errors
     /// As [`Self::render`]; then the content of all frames is unspecified.
@@ -267,8 +269,8 @@ impl View {
         views
     }
 
-    /// The cameras of `task` as the file has them. Those that look across the endoscope's light are exposed for people's eyes if the
-    /// pictures are for them.
+    /// The cameras of `task` as the file has them. Those that look across the endoscope's light are
+    /// exposed for people's eyes if the pictures are for them.
     fn all(task: &TaskConfig) -> Vec<Self> {
         let mut views: Vec<Self> = task.cameras.iter().map(Self::new).collect();
         let along = |view: &Self| view.camera_in_mount * Vector3::z();

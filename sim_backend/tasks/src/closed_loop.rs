@@ -1,4 +1,5 @@
-//! What the tests of the scripts share: the simulated arms, with a numeric inverse instead of the controller.
+//! What the tests of the scripts share: the simulated arms, with a numeric inverse instead of the
+//! controller.
 
 use core::ops::Range;
 
@@ -229,8 +230,8 @@ pub(crate) fn needs_its_hand(task: &TaskConfig) {
     assert!(episode.seconds >= task.time_limit_s, "{}", task.name);
 }
 
-/// Checks that the expert does `task` in more than one attempt, within `limit_s`, after the first arm's jaw stood at `jaw_rad`
-/// during `window_s`, whatever its command.
+/// Checks that the expert does `task` in more than one attempt, within `limit_s`, after the first
+/// arm's jaw stood at `jaw_rad` during `window_s`, whatever its command.
 pub(crate) fn recovers(task: &TaskConfig, limit_s: f64, window_s: Range<f64>, jaw_rad: f64) {
     let mut task = task.clone();
     task.time_limit_s = limit_s;

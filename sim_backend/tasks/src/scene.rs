@@ -34,7 +34,8 @@ pub struct SceneState {
 /// Where everything that moves is at one instant, in the scene frame.
 #[derive(Clone, Copy, Debug)]
 pub struct SceneSnapshot {
-    /// How many control ticks of 1 ms the scene is old; counts round. Smoke drifts and sensors' noise changes with it.
+    /// How many control ticks of 1 ms the scene is old; counts round. Smoke drifts and sensors'
+    /// noise changes with it.
     pub moment_ms: u32,
     /// The things that move, as many as the task has.
     pub things: [Pose; THINGS_MAX],

@@ -1,8 +1,9 @@
 //! One episode of a simulated task: arms, things, cameras and the verdict.
 //!
-//! The driver reads and writes each arm as a [`hal::Arm`] and calls [`Simulation::step`] once a control tick; the whole
-//! simulation is its first arm too. Same task, seed and commands give the same bits. If no command comes any more an arm
-//! finishes alone the stop that came with the last command.
+//! The driver reads and writes each arm as a [`hal::Arm`] and calls [`Simulation::step`] once a
+//! control tick; the whole simulation is its first arm too. Same task, seed and commands give the
+//! same bits. If no command comes any more an arm finishes alone the stop that came with the last
+//! command.
 
 mod nudge;
 
@@ -66,8 +67,8 @@ impl Simulation {
         Ok(Self::build(task, seed, cameras))
     }
 
-    /// The episode `seed` of `task`, seen with the cameras of an earlier episode of the same task: opening a device takes
-    /// far longer than an image.
+    /// The episode `seed` of `task`, seen with the cameras of an earlier episode of the same task:
+    /// opening a device takes far longer than an image.
     #[must_use]
     pub fn with_cameras(task: &TaskConfig, seed: u64, cameras: SceneCameras) -> Self {
         Self::build(task, seed, Some(cameras))
@@ -113,8 +114,8 @@ impl Simulation {
         })
     }
 
-    /// Advances by one control tick, 1 ms: each arm under the setpoint that was written since the last step or, if none
-    /// was, under the next point of the last one's tail.
+    /// Advances by one control tick, 1 ms: each arm under the setpoint that was written since the
+    /// last step or, if none was, under the next point of the last one's tail.
     pub fn step(&mut self) {
         self.play_tails();
         self.continue_nudge();
@@ -135,8 +136,8 @@ impl Simulation {
         }
     }
 
-    /// Advances by 1 ms before the episode begins, before all arms are commanded: nothing is judged, and the episode's time
-    /// does not run.
+    /// Advances by 1 ms before the episode begins, before all arms are commanded: nothing is
+    /// judged, and the episode's time does not run.
     pub fn wait(&mut self) {
         self.play_tails();
         self.moment_ms = self.moment_ms.wrapping_add(1);
@@ -238,7 +239,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// Takes an image from each of the cameras `which` into the frame at its place in `frames`, all of this instant.
+    /// Takes an image from each of the cameras `which` into the frame at its place in `frames`, all
+    /// of this instant.
     ///
     /// # Errors
     /// [`SimulationError`]; the content of all frames is then unspecified.
@@ -258,7 +260,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// Digest of the whole physical state: equal after equal commands. The tail is what may come, so it is not in it.
+    /// Digest of the whole physical state: equal after equal commands. The tail is what may come,
+    /// so it is not in it.
     #[must_use]
     pub fn state_hash(&self) -> u64 {
         self.world.state_hash()
@@ -266,8 +269,9 @@ impl Simulation {
 }
 
 impl SimulatedArm<'_> {
-    /// Takes set-points of drives that are commanded one by one, each with its own torque, instead of a command for the arm. They
-    /// hold until the next ones: such drives stop by themselves, so there is no tail.
+    /// Takes set-points of drives that are commanded one by one, each with its own torque, instead
+    /// of a command for the arm. They hold until the next ones: such drives stop by themselves, so
+    /// there is no tail.
     pub fn lead(&mut self, setpoint: &DriveSetpoint) {
         self.simulation.world.lead(self.index, setpoint);
     }

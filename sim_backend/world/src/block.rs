@@ -1,4 +1,5 @@
-//! The training block: a hollow triangular prism with blunt corners, as mass properties, convex pieces and mesh.
+//! The training block: a hollow triangular prism with blunt corners, as mass properties, convex
+//! pieces and mesh.
 
 use core::f64::consts::PI;
 
@@ -9,8 +10,9 @@ use serde::Deserialize;
 
 /// Shape and mass of a block.
 ///
-/// The block frame has its origin in the middle of the block and z along the hole, which is hexagonal. The three corners
-/// point along 0°, 120° and 240°, the three sides face 60°, 180° and 300°.
+/// The block frame has its origin in the middle of the block and z along the hole, which is
+/// hexagonal. The three corners point along 0°, 120° and 240°, the three sides face 60°, 180° and
+/// 300°.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BlockShape {
@@ -60,8 +62,8 @@ impl BlockShape {
         Vector3::new(cos, sin, 0.0)
     }
 
-    /// Corner points of the six convex pieces between hole and surface: four of the lower end, counter-clockwise seen
-    /// from above, and the four above them.
+    /// Corner points of the six convex pieces between hole and surface: four of the lower end,
+    /// counter-clockwise seen from above, and the four above them.
     #[must_use]
     pub fn pieces(&self) -> [[[Point3<f64>; 4]; 2]; FACES] {
         let inner = corners(&[self.hole_m; FACES]);

@@ -1,4 +1,5 @@
-//! The suture needle: a tapered wire bent to an arc or unevenly, as mass properties, centre line and mesh.
+//! The suture needle: a tapered wire bent to an arc or unevenly, as mass properties, centre line
+//! and mesh.
 
 use core::f64::consts::TAU;
 
@@ -10,22 +11,25 @@ use serde::Deserialize;
 
 /// Shape and mass of a needle.
 ///
-/// The needle frame has its origin in the centre of the arc, the arc in its xy-plane and the middle of the arc on +x;
-/// the point is at the end with positive y. If the needle is bent unevenly the same holds for the circle that fits the
-/// wire in its middle.
+/// The needle frame has its origin in the centre of the arc, the arc in its xy-plane and the middle
+/// of the arc on +x; the point is at the end with positive y. If the needle is bent unevenly the
+/// same holds for the circle that fits the wire in its middle.
 ///
-/// A real needle of this size weighs 0.2 g. A contact's stiffness is proportional to the mass it acts on, and at 0.2 g
-/// no stiffness that one sub-step can resolve carries a grip of newtons without the jaws closing through the wire, so
-/// `mass_kg` is meant to be raised to 1 or 2 g; weight and inertia stay small beside grip and drives.
+/// A real needle of this size weighs 0.2 g. A contact's stiffness is proportional to the mass it
+/// acts on, and at 0.2 g no stiffness that one sub-step can resolve carries a grip of newtons
+/// without the jaws closing through the wire, so `mass_kg` is meant to be raised to 1 or 2 g;
+/// weight and inertia stay small beside grip and drives.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NeedleShape {
     /// Radius of the arc's centre line, m.
     pub arc_radius_m: f64,
-    /// Angle that the arc spans, rad; if the needle is bent unevenly, the wire's length over the radius.
+    /// Angle that the arc spans, rad; if the needle is bent unevenly, the wire's length over the
+    /// radius.
     pub arc_angle_rad: f64,
-    /// How the wire's curvature changes from its middle to its ends: where `u` is -1 at the blunt end, 0 in the middle
-    /// and 1 at the point, the curvature is that of the arc times `1 + uneven[0] * u + uneven[1] * u²`. Zeros make an arc.
+    /// How the wire's curvature changes from its middle to its ends: where `u` is -1 at the blunt
+    /// end, 0 in the middle and 1 at the point, the curvature is that of the arc times `1 +
+    /// uneven[0] * u + uneven[1] * u²`. Zeros make an arc.
     pub uneven: [f64; 2],
     /// Radius of the wire, m.
     pub wire_radius_m: f64,
@@ -85,8 +89,8 @@ impl NeedleShape {
         source.check_range(&format!("{key}.mass_kg"), self.mass_kg, 0.000_5, 0.01)
     }
 
-    /// `count` points on the wire's centre line at equal steps from end to end, the pointed end last, in the needle
-    /// frame; a single point is the middle.
+    /// `count` points on the wire's centre line at equal steps from end to end, the pointed end
+    /// last, in the needle frame; a single point is the middle.
     #[must_use]
     pub fn centre_line(&self, count: usize) -> Vec<Point3<f64>> {
         if count < 2 {
@@ -168,8 +172,8 @@ impl NeedleShape {
         self.uneven.iter().all(|uneven| uneven.abs() < 1e-12)
     }
 
-    /// The wire's centre line at `along`, from -1/2 at the blunt end to 1/2 at the point, and the angle of its outer
-    /// side from the frame's x-axis there.
+    /// The wire's centre line at `along`, from -1/2 at the blunt end to 1/2 at the point, and the
+    /// angle of its outer side from the frame's x-axis there.
     fn wire_at(&self, along: f64) -> (Point3<f64>, f64) {
         let angle = self.arc_angle_rad * along;
         if self.is_arc() {
@@ -239,7 +243,8 @@ impl NeedleShape {
     }
 }
 
-/// The weight of the point `index` of [`WIRE_STEPS`] double steps in Simpson's rule, in thirds of a step.
+/// The weight of the point `index` of [`WIRE_STEPS`] double steps in Simpson's rule, in thirds of a
+/// step.
 fn simpson_weight(index: u32) -> f64 {
     match index {
         0 => 1.0,

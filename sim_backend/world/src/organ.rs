@@ -1,4 +1,5 @@
-//! The organ surface: a gently rolling patch of back muscle, or a table of heights, as a height over the xy-plane.
+//! The organ surface: a gently rolling patch of back muscle, or a table of heights, as a height
+//! over the xy-plane.
 
 mod drawn;
 
@@ -34,11 +35,13 @@ pub struct OrganShape {
     pub wavelength_m: f64,
 }
 
-/// Height that stands for a measured organ where it does not reach, m: what is above that place has fallen off.
+/// Height that stands for a measured organ where it does not reach, m: what is above that place has
+/// fallen off.
 const OFF_M: f64 = -1.0;
 
 impl Organ {
-    /// Height of the surface above the scene's xy-plane at (`x`, `y`), m; of a measured one -1 m beyond it.
+    /// Height of the surface above the scene's xy-plane at (`x`, `y`), m; of a measured one -1 m
+    /// beyond it.
     #[must_use]
     pub fn height_m(&self, x: f64, y: f64) -> f64 {
         match self {
@@ -87,7 +90,8 @@ impl OrganShape {
         source.check_range(&format!("{key}.wavelength_m"), self.wavelength_m, 0.03, 1.0)
     }
 
-    /// Height of the surface above the scene's xy-plane at (`x`, `y`), m; defined beyond the patch too.
+    /// Height of the surface above the scene's xy-plane at (`x`, `y`), m; defined beyond the patch
+    /// too.
     #[must_use]
     pub fn height_m(&self, x: f64, y: f64) -> f64 {
         self.waves(x, y)
@@ -159,7 +163,8 @@ pub(crate) mod tests {
         }
     }
 
-    /// The corners of all triangles, and whether each lies inside of the rim: its corners on the surface of physics.
+    /// The corners of all triangles, and whether each lies inside of the rim: its corners on the
+    /// surface of physics.
     fn triangles(mesh: &Mesh) -> Vec<([Vector3<f64>; 3], bool)> {
         let at = |index: u32| Vector3::from(mesh.positions[index as usize].map(f64::from));
         let on_surface = |p: &Vector3<f64>| (BACK_MUSCLE.height_m(p.x, p.y) - p.z).abs() < 1e-7;

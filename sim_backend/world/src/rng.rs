@@ -2,8 +2,8 @@
 
 use hal::random::{SplitMix64, fnv_1a};
 
-/// Generator xoshiro256++ (Blackman and Vigna, "Scrambled linear pseudorandom number generators", 2021), its state
-/// filled by `SplitMix64` as its authors recommend.
+/// Generator xoshiro256++ (Blackman and Vigna, "Scrambled linear pseudorandom number generators",
+/// 2021), its state filled by `SplitMix64` as its authors recommend.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rng {
     state: [u64; 4],
@@ -21,8 +21,8 @@ impl Rng {
 
     /// A generator of its own for one use of `seed`.
     ///
-    /// Whatever draws from the stream `name` does not shift any other stream, so a new random quantity leaves the old
-    /// ones as they were.
+    /// Whatever draws from the stream `name` does not shift any other stream, so a new random
+    /// quantity leaves the old ones as they were.
     #[must_use]
     pub fn stream(seed: u64, name: &str) -> Self {
         // The hash keeps names apart; the mixers behind it spread the bits.
@@ -74,7 +74,8 @@ mod tests {
 
     #[test]
     fn known_outputs_of_both_algorithms() {
-        // First words of SplitMix64 from 1234567 and of xoshiro256++ from state 1, 2, 3, 4, as published with them.
+        // First words of SplitMix64 from 1234567 and of xoshiro256++ from state 1, 2, 3, 4, as
+        // published with them.
         let mut mixer = SplitMix64::new(1_234_567);
         assert_eq!(mixer.next_u64(), 6_457_827_717_110_365_317);
         assert_eq!(mixer.next_u64(), 3_203_168_211_198_807_973);

@@ -8,7 +8,8 @@ use trocar::histogram::Histogram;
 
 /// Criterion, set for benches that end within seconds; the command line may change it.
 ///
-/// Says first how busy the machine is: on one that is shared, percentiles measure the neighbours too.
+/// Says first how busy the machine is: on one that is shared, percentiles measure the neighbours
+/// too.
 #[expect(clippy::print_stdout, reason = "a bench tells a person")]
 pub(crate) fn criterion() -> Criterion {
     let load = fs::read_to_string("/proc/loadavg").unwrap_or_default();
@@ -22,7 +23,8 @@ pub(crate) fn criterion() -> Criterion {
 
 /// Criterion's estimate of `work`'s mean, then the distribution over `runs` more.
 ///
-/// `work` does the thing once and gives the time it took, ns: what it prepares before is not counted.
+/// `work` does the thing once and gives the time it took, ns: what it prepares before is not
+/// counted.
 pub(crate) fn measure(
     criterion: &mut Criterion,
     name: &str,
@@ -40,7 +42,8 @@ pub(crate) fn measure(
     histogram
 }
 
-/// A figure beside what it must be; `margin` is how many times better it is, so that 1 just meets it.
+/// A figure beside what it must be; `margin` is how many times better it is, so that 1 just meets
+/// it.
 #[expect(clippy::print_stdout, reason = "a bench tells a person")]
 pub(crate) fn report(figure: &str, target: &str, margin: f64) {
     let verdict = if margin >= 1.0 { "met" } else { "MISSED" };

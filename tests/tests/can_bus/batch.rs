@@ -1,4 +1,5 @@
-//! Several frames in one system call: what a cycle of a CAN master wants, and the socket crate lacks.
+//! Several frames in one system call: what a cycle of a CAN master wants, and the socket crate
+//! lacks.
 
 use std::io;
 use std::mem::zeroed;
@@ -38,7 +39,8 @@ impl Batch {
 
     #[expect(unsafe_code, reason = "a system call without a safe binding")]
     fn send(&mut self, socket: RawFd) -> io::Result<usize> {
-        // SAFETY: the headers, and what they point at, live in the boxed batch, which does not move.
+        // SAFETY: the headers, and what they point at, live in the boxed batch, which does not
+        // move.
         let sent = unsafe {
             libc::sendmmsg(
                 socket,
@@ -52,7 +54,8 @@ impl Batch {
 
     #[expect(unsafe_code, reason = "a system call without a safe binding")]
     fn receive(&mut self, socket: RawFd) -> io::Result<usize> {
-        // SAFETY: the headers, and what they point at, live in the boxed batch, which does not move.
+        // SAFETY: the headers, and what they point at, live in the boxed batch, which does not
+        // move.
         let received = unsafe {
             libc::recvmmsg(
                 socket,

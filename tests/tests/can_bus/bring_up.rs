@@ -35,7 +35,8 @@ fn lets_go(frame: &CanDataFrame) -> bool {
     frame.raw_id() == 0x207 && frame.data()[0] == 0x00
 }
 
-/// Whether the drive of `node` says that its motor has torque. A stopped node answers nobody before it is pre-operational.
+/// Whether the drive of `node` says that its motor has torque. A stopped node answers nobody before
+/// it is pre-operational.
 fn has_torque(node: u16) -> bool {
     let bus = bus();
     if receive(&bus, 0x700 + node).data() == [STOPPED] {

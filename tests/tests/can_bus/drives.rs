@@ -1,4 +1,5 @@
-//! `trocar drives` among tools that others have written: they lead its drives by the data sheet, and understand each frame.
+//! `trocar drives` among tools that others have written: they lead its drives by the data sheet,
+//! and understand each frame.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -16,11 +17,13 @@ use crate::pair::until;
 use crate::peer::{Peer, alone, said, state_folder};
 use crate::{bus, dissected};
 
-/// Counts by which an axis with inertia and friction may be away from the last four targets of a slow master. Of the nodes that
-/// are led the first, which has the least way to go, is one of the wrist's, with few counts a turn and much friction.
+/// Counts by which an axis with inertia and friction may be away from the last four targets of a
+/// slow master. Of the nodes that are led the first, which has the least way to go, is one of the
+/// wrist's, with few counts a turn and much friction.
 const TOLERANCE: &str = "300";
 
-/// How much slower than real time a run and its drives live, so that a kernel inside a kernel on a busy machine keeps up.
+/// How much slower than real time a run and its drives live, so that a kernel inside a kernel on a
+/// busy machine keeps up.
 const SLOW: u64 = 6;
 
 /// Nobody else's.

@@ -1,4 +1,5 @@
-//! A robot on CAN whose policy's process is killed and comes back, whose camera's process is killed, and whose machine's clock is set.
+//! A robot on CAN whose policy's process is killed and comes back, whose camera's process is
+//! killed, and whose machine's clock is set.
 
 use std::env;
 use std::fs;
@@ -65,7 +66,8 @@ fn plays_a_camera() {
     }
 }
 
-/// Whether this is a kernel inside another, whose clock may be set. Another machine's is left alone.
+/// Whether this is a kernel inside another, whose clock may be set. Another machine's is left
+/// alone.
 fn has_a_clock_of_its_own() -> bool {
     let processors = fs::read_to_string("/proc/cpuinfo").unwrap();
     processors.contains("User Mode Linux")
@@ -124,7 +126,8 @@ impl Robot {
         }
     }
 
-    /// Ends the run as a person does, at rest without a fault; what it and its drives say, and its log, which keeps all limits.
+    /// Ends the run as a person does, at rest without a fault; what it and its drives say, and its
+    /// log, which keeps all limits.
     fn interrupted(self) -> (Value, Value, RunLog) {
         self.run.signal("-INT");
         let (code, run) = self.run.end();
@@ -145,7 +148,8 @@ impl Robot {
     }
 }
 
-/// After the policy and after the camera it goes on. Keeps the rows of both, timed from the last chunk before.
+/// After the policy and after the camera it goes on. Keeps the rows of both, timed from the last
+/// chunk before.
 fn assert_goes_on_twice(log: &RunLog) {
     let (mut newest, mut injected) = (0, Vec::new());
     for (tick, chunks) in log.ticks() {
@@ -188,8 +192,9 @@ fn assert_goes_on_twice(log: &RunLog) {
     }
 }
 
-/// The same of a robot on CAN as of simulated arms: its policy may die and come back, and its camera may be gone for a while. No time that is
-/// waited for is of the clock, which is a day ahead meanwhile, and then a day back.
+/// The same of a robot on CAN as of simulated arms: its policy may die and come back, and its
+/// camera may be gone for a while. No time that is waited for is of the clock, which is a day ahead
+/// meanwhile, and then a day back.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
 fn killed_policy_and_killed_camera_come_back() {
@@ -233,8 +238,9 @@ fn settings(log: &Path) -> Vec<(TimeNs, f64)> {
     found
 }
 
-/// The clock is set while the arm moves, by an hour and by 0.1 s, ahead and back. The loop, the ages of chunks and frames, watchdogs and the log's
-/// times go by another: nothing is refused, missed or held, and the log says when the clock was set.
+/// The clock is set while the arm moves, by an hour and by 0.1 s, ahead and back. The loop, the
+/// ages of chunks and frames, watchdogs and the log's times go by another: nothing is refused,
+/// missed or held, and the log says when the clock was set.
 #[test]
 #[ignore = "needs a CAN bus: make test-can"]
 fn setting_the_clock_changes_nothing() {

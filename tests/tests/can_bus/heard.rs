@@ -8,8 +8,9 @@ use trocar::rt::MonotonicClock;
 
 use super::{PATIENCE, frame};
 
-/// The next data frame that is `wanted`, of those that `next` gives, which waits for one for as long as it is told at most.
-/// Frames that are not wanted do not prolong the wait: `limit` is for all of it.
+/// The next data frame that is `wanted`, of those that `next` gives, which waits for one for as
+/// long as it is told at most. Frames that are not wanted do not prolong the wait: `limit` is for
+/// all of it.
 fn next_wanted(
     limit: Duration,
     mut next: impl FnMut(Duration) -> io::Result<CanFrame>,

@@ -13,7 +13,8 @@ const MS_NS: u64 = 1_000_000;
 /// Anything takes less time than this, ns.
 const PATIENCE_NS: u64 = 240_000 * MS_NS;
 
-/// How much slower these processes live, so that a kernel inside a kernel on a busy machine keeps up with their buses.
+/// How much slower these processes live, so that a kernel inside a kernel on a busy machine keeps
+/// up with their buses.
 const SLOW_MOTION: u64 = 15;
 
 /// The same of processes that only ask and answer, without a SYNC.
@@ -47,7 +48,8 @@ impl Process {
         Self::slowed(SLOW_MOTION, folder, name, arguments)
     }
 
-    /// This test executable once more, for the test `role`, which plays a process of the run on `topics`.
+    /// This test executable once more, for the test `role`, which plays a process of the run on
+    /// `topics`.
     pub(crate) fn playing(folder: &Path, role: &str, topics: &str) -> Self {
         let mut command = Command::new(env::current_exe().unwrap());
         command.args(["--exact", role, "--nocapture"]);

@@ -120,7 +120,8 @@ impl Peer {
         }
     }
 
-    /// `trocar` with these arguments, `slow` times slower than real time, when it has said a line that has `ready` in it.
+    /// `trocar` with these arguments, `slow` times slower than real time, when it has said a line
+    /// that has `ready` in it.
     pub(crate) fn trocar(slow: u64, arguments: &[&str], ready: &str) -> Self {
         let mut process = trocar()
             .env("TROCAR_SLOW_MOTION", slow.to_string())

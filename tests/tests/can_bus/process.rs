@@ -61,8 +61,8 @@ fn killed() -> serde_json::Value {
     pair.end()
 }
 
-/// Every drive of `drives` stopped by itself for the loss of its master, and rested within 50 ms of its last SYNC; tells
-/// whether no time was left out of these 50 ms.
+/// Every drive of `drives` stopped by itself for the loss of its master, and rested within 50 ms of
+/// its last SYNC; tells whether no time was left out of these 50 ms.
 fn rested_in_time(drives: &serde_json::Value) -> bool {
     let stops = drives["stops"].as_array().unwrap();
     assert_eq!(stops.len(), 7, "{drives}");
@@ -86,7 +86,8 @@ fn rested_in_time(drives: &serde_json::Value) -> bool {
 #[ignore = "needs a CAN bus: make test-can"]
 fn drives_rest_within_50_ms_of_a_killed_run() {
     let _turn = alone();
-    // Time that a busy machine keeps from the drives does not pass for them, so one kill must do without.
+    // Time that a busy machine keeps from the drives does not pass for them, so one kill must do
+    // without.
     let whole = (0..8).any(|_| rested_in_time(&killed()));
     assert!(whole, "the drives' process stood still at every kill");
 }

@@ -1,4 +1,5 @@
-//! A robot without a simulator: `trocar run --safety`, with `trocar drives --no-world` in the place of its drives.
+//! A robot without a simulator: `trocar run --safety`, with `trocar drives --no-world` in the place
+//! of its drives.
 
 use std::fs;
 use std::path::Path;
@@ -56,7 +57,8 @@ fn robot_runs_without_a_simulator() {
     assert!(drives.get("outcome").is_none(), "{drives}");
 }
 
-/// The log has twice a second what the kernel counted on the arm's interfaces: some load once a second is over, no errors.
+/// The log has twice a second what the kernel counted on the arm's interfaces: some load once a
+/// second is over, no errors.
 fn says_how_its_buses_were(log: &Path) {
     let mut told = Vec::new();
     read_items(log, |item| {

@@ -1,4 +1,5 @@
-//! The end of a run: what the drives are told until none has torque, whatever the operator does meanwhile.
+//! The end of a run: what the drives are told until none has torque, whatever the operator does
+//! meanwhile.
 
 use std::fs;
 use std::path::Path;
@@ -34,7 +35,8 @@ fn told(log: &str, node: u16) -> Vec<(u16, usize)> {
     told
 }
 
-/// The drives of nodes 1 to 7 were taken down state by state, and the last that each said is that it is switch-on disabled.
+/// The drives of nodes 1 to 7 were taken down state by state, and the last that each said is that
+/// it is switch-on disabled.
 fn assert_taken_down(capture: &Path) {
     let log = fs::read_to_string(capture).unwrap();
     for node in 1..=7 {

@@ -1,4 +1,5 @@
-//! What the conformance tests need beside the arm: time, a way to break it, and a driver that knows where it wants to go.
+//! What the conformance tests need beside the arm: time, a way to break it, and a driver that knows
+//! where it wants to go.
 
 use core::f64::consts::TAU;
 
@@ -120,7 +121,8 @@ pub(crate) struct Leg {
 }
 
 impl Leg {
-    /// The stop from where the motion is at `now`, whose first point is the set-point; at its end the axes rest.
+    /// The stop from where the motion is at `now`, whose first point is the set-point; at its end
+    /// the axes rest.
     pub(crate) fn tail(&self, now: TimeNs) -> SafeTail {
         let share = (TimeNs(now.since(self.began)).seconds() / WAY_S).min(1.0);
         let axes = core::array::from_fn(|axis| {

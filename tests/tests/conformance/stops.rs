@@ -1,4 +1,5 @@
-//! What holds for every arm: stops that it finishes alone, nonsense that it refuses, torque that it gives up.
+//! What holds for every arm: stops that it finishes alone, nonsense that it refuses, torque that it
+//! gives up.
 
 use hal::tail::{AxisTail, TAIL_AXES, TailPhase};
 use hal::{ArmCommand, SafeTail, TimeNs};
@@ -156,7 +157,8 @@ fn what_is_no_number_is_a_period_of_the_stop(make: Make<'_>) {
     assert_rests(&mut driver, &rest(&tail), "nonsense while moving");
 }
 
-/// A tail that begins where `command` is and runs away as fast as it may, a tenth of the way in 100 ms.
+/// A tail that begins where `command` is and runs away as fast as it may, a tenth of the way in 100
+/// ms.
 fn runaway(command: &ArmCommand, enabled: bool) -> SafeTail {
     let mut tail = SafeTail::hold(command);
     tail.enabled = enabled;

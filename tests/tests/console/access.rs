@@ -72,7 +72,8 @@ fn only_who_has_the_token_gets_the_page_or_its_socket() {
     Page::open(&served).wait_for_state("ENABLED");
 }
 
-/// Whoever opens connections without end takes few of the run's file descriptors; once they are gone the page opens again.
+/// Whoever opens connections without end takes few of the run's file descriptors; once they are
+/// gone the page opens again.
 #[test]
 fn a_flood_of_connections_is_bounded() {
     let served = Served::run("console-flood", "noop");
@@ -103,7 +104,8 @@ fn a_flood_of_connections_is_bounded() {
     Page::open(&served).wait_for_state("ENABLED");
 }
 
-/// The page asks nothing of any other server, and holds no script or style that the policy of its content forbids.
+/// The page asks nothing of any other server, and holds no script or style that the policy of its
+/// content forbids.
 #[test]
 fn the_page_is_whole_in_itself() {
     let served = Served::run("console-files", "noop");

@@ -1,4 +1,5 @@
-//! The page in Chromium: it shows and steers a run, comes back after a cut, fits its window, and can be read.
+//! The page in Chromium: it shows and steers a run, comes back after a cut, fits its window, and
+//! can be read.
 
 use serde_json::Value;
 use tests::scratch;
@@ -7,8 +8,9 @@ use crate::devtools::{Browser, Proxy};
 use crate::log::as_if_on_can;
 use crate::run::{SLOW_MOTION, Served, made_log};
 
-/// Texts and placeholders whose contrast with what is behind them is below WCAG's AA (4.5, or 3 where they are large), and fields and ends of
-/// meters whose borders' contrast with either side is below 3; disabled controls apart.
+/// Texts and placeholders whose contrast with what is behind them is below WCAG's AA (4.5, or 3
+/// where they are large), and fields and ends of meters whose borders' contrast with either side is
+/// below 3; disabled controls apart.
 const LOW_CONTRAST: &str = r"(() => {
   const rgb = (text) => text.match(/[\d.]+/g).map(Number);
   const light = ([r, g, b]) => {
@@ -104,7 +106,8 @@ pub(crate) fn looks_right(browser: &mut Browser, name: &str) {
     browser.look(1280, "light");
 }
 
-/// The check finds pale placeholders, pale borders of fields and meters without ends on a page that has placeholders, fields and meters.
+/// The check finds pale placeholders, pale borders of fields and meters without ends on a page that
+/// has placeholders, fields and meters.
 pub(crate) fn finds_what_is_faint(browser: &mut Browser) {
     browser.evaluate(FAINT);
     let found = browser.evaluate(LOW_CONTRAST);
@@ -177,8 +180,9 @@ fn looks_at_the_scene(browser: &mut Browser) {
     browser.evaluate("document.activeElement.blur(); scrollTo(0, 0)");
 }
 
-/// Beside 125 messages of hands a second the page acknowledges at most 40 times, though 200 messages come, and leaves fewer than the 8 open
-/// that the run has on their way; where few come it acknowledges every second one.
+/// Beside 125 messages of hands a second the page acknowledges at most 40 times, though 200
+/// messages come, and leaves fewer than the 8 open that the run has on their way; where few come it
+/// acknowledges every second one.
 fn acknowledges_within_its_bound(browser: &mut Browser) {
     for (every_ms, counts) in [(5, [40, 4]), (20, [25, 1]), (1, [167, 5])] {
         let found = browser.evaluate(&ACKNOWLEDGED.replace("EVERY_MS", &every_ms.to_string()));
@@ -186,7 +190,8 @@ fn acknowledges_within_its_bound(browser: &mut Browser) {
     }
 }
 
-/// How often the page's connection acknowledges in a second in which a message comes so often, and how many are open at most after one.
+/// How often the page's connection acknowledges in a second in which a message comes so often, and
+/// how many are open at most after one.
 const ACKNOWLEDGED: &str = r#"(async () => {
   const { Connection } = await import('/connection.js');
   const real = window.WebSocket;
@@ -348,7 +353,8 @@ fn the_page_shows_a_log_of_a_bus() {
     assert_eq!(browser.errors, Vec::<String>::new());
 }
 
-/// The page on a log has what the page on its run had: the scene, depth and ids, the criteria, and where the chunks led.
+/// The page on a log has what the page on its run had: the scene, depth and ids, the criteria, and
+/// where the chunks led.
 fn looks_like_its_run(browser: &mut Browser, time: &str) {
     let scene = "document.querySelector('#scene-view').dataset";
     browser.wait_until(&format!("Math.abs(Number({scene}.seconds) - {time}) < 0.1"));
@@ -373,7 +379,8 @@ fn looks_like_its_run(browser: &mut Browser, time: &str) {
     }
 }
 
-/// At another address than loopback the page is a secure context, as a headset's WebXR needs it, and everything comes by TLS.
+/// At another address than loopback the page is a secure context, as a headset's WebXR needs it,
+/// and everything comes by TLS.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_opens_beyond_loopback() {
@@ -463,7 +470,8 @@ fn the_page_shows_drives() {
     assert_eq!(browser.errors, Vec::<String>::new());
 }
 
-/// Hands the page's own panel what drives of two arms say of themselves, one of them pulled and one at fault.
+/// Hands the page's own panel what drives of two arms say of themselves, one of them pulled and one
+/// at fault.
 const DRIVES: &str = r"(async () => {
   const { Drives } = await import('/drives.js');
   const names = ['yaw', 'pitch', 'insertion', 'roll', 'wrist_pitch', 'wrist_yaw', 'jaw'];

@@ -37,7 +37,8 @@ fn numbers(value: &Value) -> Vec<f64> {
     numbers.map(|number| number.as_f64().unwrap()).collect()
 }
 
-/// Each frame of each episode is what the dataset's own reader says, and its image that of the frame; what is damaged or is not there is said.
+/// Each frame of each episode is what the dataset's own reader says, and its image that of the
+/// frame; what is damaged or is not there is said.
 #[test]
 fn all_episodes_of_a_dataset_are_looked_through() {
     let data = recorded("console-dataset-made", "needle-lift");
@@ -99,8 +100,8 @@ fn all_episodes_of_a_dataset_are_looked_through() {
     assert_eq!(result, expected);
 }
 
-/// Ground, cameras and limits are those of the task, the instrument is where it was measured in each frame, and the needle is not there: where it was
-/// is not in the dataset.
+/// Ground, cameras and limits are those of the task, the instrument is where it was measured in
+/// each frame, and the needle is not there: where it was is not in the dataset.
 fn looks_at_its_scene(served: &Served, facts: &Value) {
     assert_eq!(facts["scene"], true);
     let (host, cookie) = (served.host(), served.cookie());
@@ -130,7 +131,8 @@ fn looks_at_its_scene(served: &Served, facts: &Value) {
     assert_ne!(places[0][16..], places[1][16..], "the arm moved");
 }
 
-/// A path shows this frame's action and the `left` after it, a second's at most, in the picture too.
+/// A path shows this frame's action and the `left` after it, a second's at most, in the picture
+/// too.
 fn leads(path: &Value, left: usize) {
     let points = path["points"].as_array().unwrap().len();
     assert_eq!(points, thinned(left.min(25) + 1), "{path}");
@@ -205,7 +207,8 @@ fn a_folder_without_a_dataset_is_refused() {
     }
 }
 
-/// The page goes from episode to episode, frame by frame, and shows colour, depth and ids, joints, tips and actions.
+/// The page goes from episode to episode, frame by frame, and shows colour, depth and ids, joints,
+/// tips and actions.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_shows_a_dataset() {

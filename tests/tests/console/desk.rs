@@ -37,8 +37,8 @@ fn pipe(path: &Path) {
     assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
 }
 
-/// The tip rises while both keys are held and holds when the clutch is let go; a keyboard that is unplugged in mid-motion lets go. A page
-/// beside it looks on and moves nothing.
+/// The tip rises while both keys are held and holds when the clutch is let go; a keyboard that is
+/// unplugged in mid-motion lets go. A page beside it looks on and moves nothing.
 #[test]
 fn a_keyboard_at_the_robot_moves_the_arm() {
     let _turn = tests::alone();
@@ -164,8 +164,8 @@ fn a_device_that_is_not_there_is_an_error() {
     }
 }
 
-/// A keyboard at the robot's computer takes over from a policy in mid-motion and moves the arm; B gives it back, and a clutch that is held
-/// meanwhile has to be taken anew.
+/// A keyboard at the robot's computer takes over from a policy in mid-motion and moves the arm; B
+/// gives it back, and a clutch that is held meanwhile has to be taken anew.
 #[test]
 fn a_keyboard_takes_over_from_a_policy() {
     let _turn = tests::alone();

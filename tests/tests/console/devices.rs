@@ -1,4 +1,5 @@
-//! Devices at the desk and in the headset, in the browser: a mouse that drags the tip, a SpaceMouse, and two eyes.
+//! Devices at the desk and in the headset, in the browser: a mouse that drags the tip, a
+//! SpaceMouse, and two eyes.
 
 use std::time::Duration;
 
@@ -110,7 +111,8 @@ impl Pointer {
         browser.call("Input.dispatchMouseEvent", &event);
     }
 
-    /// Takes hold of the arm, once more when a busy machine let go of it at once: its hand came late.
+    /// Takes hold of the arm, once more when a busy machine let go of it at once: its hand came
+    /// late.
     fn take_hold(&self, browser: &mut Browser) {
         let engaged = "told.teleop.arms[0].engaged";
         for _ in 0..5 {
@@ -132,7 +134,8 @@ impl Pointer {
     }
 }
 
-/// What is dragged stays under the pointer, the wheel pushes it away, with Shift it turns; it holds on release, wherever the pointer goes.
+/// What is dragged stays under the pointer, the wheel pushes it away, with Shift it turns; it holds
+/// on release, wherever the pointer goes.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn a_mouse_drags_the_tip() {
@@ -181,8 +184,8 @@ fn a_mouse_drags_the_tip() {
     assert_eq!(browser.errors, Vec::<String>::new());
 }
 
-/// A cap that is pushed moves the tip that way and turns it that way, with its first button alone; the second closes the jaw. One that is
-/// unplugged in mid-motion lets go.
+/// A cap that is pushed moves the tip that way and turns it that way, with its first button alone;
+/// the second closes the jaw. One that is unplugged in mid-motion lets go.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn a_spacemouse_moves_the_tip() {
@@ -248,8 +251,8 @@ fn bounds_its_messages(browser: &mut Browser) {
     }
 }
 
-/// With two eyes the headset shows each its own picture, with one the same to both. That a picture is shown is told from within its frames
-/// alone.
+/// With two eyes the headset shows each its own picture, with one the same to both. That a picture
+/// is shown is told from within its frames alone.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn a_headset_has_two_eyes() {
@@ -262,7 +265,8 @@ fn a_headset_has_two_eyes() {
         let mut browser = operated(test, &served, "headset");
         browser.wait_until("!document.querySelector('#enter-vr').hidden");
         browser.evaluate("operator.eyes = true, document.querySelector('#enter-vr').click()");
-        // Share of the pixels that one eye sees otherwise than the other, and of those that are not black.
+        // Share of the pixels that one eye sees otherwise than the other, and of those that are not
+        // black.
         browser.wait_until("operator.seen?.[1] > 0.2");
         if differ {
             browser.wait_until("operator.seen[0] > 0.05 && operator.seen[0] < 0.9");

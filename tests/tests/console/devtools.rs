@@ -1,4 +1,5 @@
-//! Chromium without a window, driven over its DevTools protocol; and a proxy on whose connections a test has its hand.
+//! Chromium without a window, driven over its DevTools protocol; and a proxy on whose connections a
+//! test has its hand.
 
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
@@ -181,7 +182,8 @@ impl Browser {
         }
     }
 
-    /// Whether `expression` is true before `patience` is over. It is not read before the page has its elements.
+    /// Whether `expression` is true before `patience` is over. It is not read before the page has
+    /// its elements.
     pub(crate) fn comes_true(&mut self, expression: &str, patience: Duration) -> bool {
         let rounds = patience.as_millis() / 50;
         let loaded = format!("document.readyState !== 'loading' && ({expression})");

@@ -1,4 +1,5 @@
-//! Runs whose arms are in another process, as pages see them: cameras, the scene and how the task stands come over topics.
+//! Runs whose arms are in another process, as pages see them: cameras, the scene and how the task
+//! stands come over topics.
 
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
@@ -159,7 +160,8 @@ fn replays(log: &Path) {
     assert!(replay.status.success(), "{}", tests::stderr(&replay));
 }
 
-/// The page on the log of a run whose world was another process shows what its own page did: where everything was, and how the task stood.
+/// The page on the log of a run whose world was another process shows what its own page did: where
+/// everything was, and how the task stood.
 fn looks_as_the_world_did(log: &Path) {
     let words = ["replay", log.to_str().unwrap()];
     let served = Served::start("console-world-replay", &words);
@@ -188,7 +190,8 @@ fn looks_as_the_world_did(log: &Path) {
     assert!(!state["task"].as_str().unwrap().is_empty(), "{state}");
 }
 
-/// A robot has cameras, which are those that were asked for, and no criteria; its instrument is seen where it is measured, with limits and cameras.
+/// A robot has cameras, which are those that were asked for, and no criteria; its instrument is
+/// seen where it is measured, with limits and cameras.
 #[test]
 fn a_page_sees_arm_and_cameras_of_a_robot() {
     let _turn = tests::alone();
@@ -274,7 +277,8 @@ fn is_discarded(log: &Path) {
     assert_eq!(out.read_dir().map_or(0, Iterator::count), 0, "it is empty");
 }
 
-/// The page on a robot's log has its instrument where it was measured, with the limits, and neither a needle nor criteria.
+/// The page on a robot's log has its instrument where it was measured, with the limits, and neither
+/// a needle nor criteria.
 fn shows_its_arm(log: &Path) {
     let served = Served::start("console-robot-replay", &["replay", log.to_str().unwrap()]);
     let mut page = Page::open(&served);
@@ -316,7 +320,8 @@ fn shows_its_arm(log: &Path) {
     }
 }
 
-/// The page of a robot in Chromium: its instrument is drawn and moves, and the run is marked by keys and by a gamepad.
+/// The page of a robot in Chromium: its instrument is drawn and moves, and the run is marked by
+/// keys and by a gamepad.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_shows_and_marks_the_run_of_a_robot() {
@@ -390,7 +395,8 @@ fn rises(operator: &mut Operator) {
     assert!(risen[1] - start[1] > 0.004, "{start:?} {risen:?}");
 }
 
-/// The operator's stop ends the run, whose log is of a run by hand that kept every limit and replays.
+/// The operator's stop ends the run, whose log is of a run by hand that kept every limit and
+/// replays.
 fn ends(mut served: Served, mut page: Page, log: &Path) -> Value {
     assert!(page.command("stop").0);
     page.wait_for("end", |_| true);
@@ -406,7 +412,8 @@ fn ends(mut served: Served, mut page: Page, log: &Path) -> Value {
     teleop
 }
 
-/// Hands move the arm of a task in another process as they do one of the run's own, in the axes of its picture.
+/// Hands move the arm of a task in another process as they do one of the run's own, in the axes of
+/// its picture.
 #[test]
 fn hands_move_the_arm_of_another_process() {
     let _turn = tests::alone();
@@ -425,7 +432,8 @@ fn hands_move_the_arm_of_another_process() {
     assert!(teleop["engagements"].as_u64() > Some(0), "{teleop}");
 }
 
-/// A robot without a task is moved in the axes that were told, beside its policy: hands take over and hand back.
+/// A robot without a task is moved in the axes that were told, beside its policy: hands take over
+/// and hand back.
 #[test]
 fn hands_take_over_from_the_policy_of_a_robot() {
     let _turn = tests::alone();

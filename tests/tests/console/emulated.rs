@@ -1,5 +1,5 @@
-//! The headset is Meta's emulation of a Quest 3 (IWER), which `.ci/setup-browser.sh` installs: sessions, frames, views, grip spaces and
-//! buttons are those of a runtime that is none of ours.
+//! The headset is Meta's emulation of a Quest 3 (IWER), which `.ci/setup-browser.sh` installs:
+//! sessions, frames, views, grip spaces and buttons are those of a runtime that is none of ours.
 
 use std::path::PathBuf;
 use std::{env, fs};
@@ -14,7 +14,8 @@ use crate::lift::{
 };
 use crate::run::{Served, verified};
 
-/// How many times slower than the machine's the clocks of the run are: the emulation's frames are the page's, which a software renderer draws.
+/// How many times slower than the machine's the clocks of the run are: the emulation's frames are
+/// the page's, which a software renderer draws.
 const SLOW_MOTION: u64 = 6;
 
 /// Its script, from the cache of [`.ci/setup-browser.sh`].
@@ -39,7 +40,8 @@ fn emulated(test: &str, words: &[&str]) -> (Served, Browser) {
     (served, browser)
 }
 
-/// The emulated controllers lift the needle: squeeze is the clutch, the trigger closes the jaw, and buttons begin the recorded episode, twice.
+/// The emulated controllers lift the needle: squeeze is the clutch, the trigger closes the jaw, and
+/// buttons begin the recorded episode, twice.
 #[test]
 #[ignore = "needs chromium and IWER: `make test-console` runs it"]
 fn an_emulated_quest_lifts_the_needle() {
@@ -58,7 +60,8 @@ fn an_emulated_quest_lifts_the_needle() {
     assert_eq!(reasons, ["to be done again", "success"]);
 }
 
-/// A thumbstick that is pushed tilts the scene, until less of it is seen from above; while a clutch is held it does not.
+/// A thumbstick that is pushed tilts the scene, until less of it is seen from above; while a clutch
+/// is held it does not.
 fn turns_the_scene(browser: &mut Browser) {
     browser.evaluate("window.below = operator.seen[2], operator.hands.axes = [0, 0, 0, -1], true");
     browser.wait_until("operator.seen[2] < below - 0.008");
@@ -71,9 +74,10 @@ fn turns_the_scene(browser: &mut Browser) {
     browser.evaluate("operator.hands.axes = [0, 0, 0, 0], operator.hold(false), true");
 }
 
-/// Two views are drawn side by side, with the scene if it is asked for; a controller that is held as its instrument points engages by its squeeze, and the tip goes and turns as
-/// its grip does; without the squeeze it moves nothing. A controller whose position is only estimated lets go, and the arm rests. No limit is
-/// broken meanwhile.
+/// Two views are drawn side by side, with the scene if it is asked for; a controller that is held
+/// as its instrument points engages by its squeeze, and the tip goes and turns as its grip does;
+/// without the squeeze it moves nothing. A controller whose position is only estimated lets go, and
+/// the arm rests. No limit is broken meanwhile.
 #[test]
 #[ignore = "needs chromium and IWER: `make test-console` runs it"]
 fn an_emulated_quest_moves_the_tip() {

@@ -355,7 +355,8 @@ fn foxglove_sees_the_flap_bend() {
     }
 }
 
-/// A log is played in its own time, all its topics, until a page looks at a place: from then on it is told of that place.
+/// A log is played in its own time, all its topics, until a page looks at a place: from then on it
+/// is told of that place.
 #[test]
 fn foxglove_is_told_a_log_where_a_page_looks() {
     let log = made_log("foxglove-log-made", "needle-lift");

@@ -1,4 +1,5 @@
-//! Two hands in a headset, one controller an arm: the right one lifts the needle and holds it out, the left one takes it away.
+//! Two hands in a headset, one controller an arm: the right one lifts the needle and holds it out,
+//! the left one takes it away.
 
 use serde_json::{Value, json};
 use tests::{json as read_json, scratch};
@@ -7,14 +8,16 @@ use crate::devtools::Browser;
 use crate::lift::{SEED, SLOW_MOTION, Shown, operated, wait_for_end};
 use crate::run::{Served, verified};
 
-/// How far the first hand rises before it carries the needle, and the second one comes from above it, m.
+/// How far the first hand rises before it carries the needle, and the second one comes from above
+/// it, m.
 const LIFT_M: f64 = 0.012;
 
-/// Within which a tip is where it is to be, m and rad: what the needle in one hand is off by shows in the other's grip.
+/// Within which a tip is where it is to be, m and rad: what the needle in one hand is off by shows
+/// in the other's grip.
 const WITHIN: [f64; 2] = [0.000_5, 0.025];
 
-/// Where both tips go, as the picture shows it, in three parts: to where the expert holds the needle out, to where it takes it there, and
-/// apart.
+/// Where both tips go, as the picture shows it, in three parts: to where the expert holds the
+/// needle out, to where it takes it there, and apart.
 fn way_to_hand_over() -> [Value; 3] {
     let shown = Shown::of("needle-handover");
     let targets = |arm| shown.targets.iter().filter_map(move |both| both.get(arm));
@@ -68,7 +71,8 @@ fn stands(criterion: &str) -> String {
     )
 }
 
-/// By WebXR alone, with both clutches held, a needle is lifted by one hand and taken by the other; no limit is broken meanwhile.
+/// By WebXR alone, with both clutches held, a needle is lifted by one hand and taken by the other;
+/// no limit is broken meanwhile.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn two_controllers_hand_a_needle_over() {

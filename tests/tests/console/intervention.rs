@@ -1,4 +1,5 @@
-//! Intervention: a policy drives, an operator takes over from it and hands back, and all of it is recorded as such.
+//! Intervention: a policy drives, an operator takes over from it and hands back, and all of it is
+//! recorded as such.
 
 use std::path::Path;
 
@@ -31,8 +32,8 @@ pub(crate) fn changes(log: &Path) -> Vec<String> {
     operators.map(|event| format!("{event:?}")).collect()
 }
 
-/// The page goes with its clutch held: the arm holds, the policy does not come back by itself, and a page that does not steer can't hand
-/// back. That page.
+/// The page goes with its clutch held: the arm holds, the policy does not come back by itself, and
+/// a page that does not steer can't hand back. That page.
 fn lost_in_mid_motion(operator: Operator, served: &Served) -> Page {
     drop(operator);
     let mut page = Page::open(served);
@@ -52,8 +53,9 @@ fn lost_in_mid_motion(operator: Operator, served: &Served) -> Page {
     page
 }
 
-/// The hands take over from a policy in mid-motion and hold; their page is lost and nothing moves; another page hands back, and the policy
-/// does the task from there. No step of the commands is larger than the arms' limits allow, and the log replays to the bit.
+/// The hands take over from a policy in mid-motion and hold; their page is lost and nothing moves;
+/// another page hands back, and the policy does the task from there. No step of the commands is
+/// larger than the arms' limits allow, and the log replays to the bit.
 #[test]
 fn hands_take_over_from_a_policy_and_hand_back() {
     let _turn = tests::alone();
@@ -124,8 +126,9 @@ fn hands_take_over_from_a_policy_and_hand_back() {
     assert!(replay.status.success(), "{}", tests::stderr(&replay));
 }
 
-/// In the browser: the policy begins the episode, a headset's controller takes over and moves the arm away, hands back, and the policy lifts
-/// the needle. Every frame of the dataset says who drove.
+/// In the browser: the policy begins the episode, a headset's controller takes over and moves the
+/// arm away, hands back, and the policy lifts the needle. Every frame of the dataset says who
+/// drove.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn a_headset_takes_over_from_a_policy_and_the_dataset_says_so() {
@@ -173,7 +176,8 @@ fn says_who_drove(data: &Path) {
     let last = by_hand.iter().rposition(|&by_hand| by_hand).unwrap();
     assert!(first > 0 && last + 1 < by_hand.len(), "{by_hand:?}");
     assert!(by_hand[first..=last].iter().all(|&by_hand| by_hand));
-    // Neither takes the arm on a jump: it goes on no faster than it may, 0.1 m/s, and hands begin where the policy left it.
+    // Neither takes the arm on a jump: it goes on no faster than it may, 0.1 m/s, and hands begin
+    // where the policy left it.
     let way = |one: &[f64], other: &[f64]| {
         let squares = one.iter().zip(other).take(3);
         squares.map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()

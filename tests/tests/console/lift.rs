@@ -1,5 +1,5 @@
-//! A scripted operator in the browser lifts the needle: by gamepad, by keyboard, in a headset. It sees what the page is told, and moves
-//! nothing but its device.
+//! A scripted operator in the browser lifts the needle: by gamepad, by keyboard, in a headset. It
+//! sees what the page is told, and moves nothing but its device.
 
 use std::path::Path;
 
@@ -19,7 +19,8 @@ use crate::run::{Served, verified};
 
 pub(crate) const SEED: &str = "7";
 
-/// How many times slower than the machine's the clocks of the run are: it shares two cores with the browser.
+/// How many times slower than the machine's the clocks of the run are: it shares two cores with the
+/// browser.
 pub(crate) const SLOW_MOTION: u64 = 3;
 
 /// The devices and the operator, before any script of the page.
@@ -76,15 +77,16 @@ impl Shown {
         Translation3::new(0.0, 0.0, raised_m) * scene_from_rcm * target.tip_in_rcm()
     }
 
-    /// A place on an operator's way: which arm's tip is to be there, in the picture's axes, and how far the trigger is pressed then.
+    /// A place on an operator's way: which arm's tip is to be there, in the picture's axes, and how
+    /// far the trigger is pressed then.
     pub(crate) fn place(&self, arm: usize, tip_in_scene: &Pose, jaw: f64) -> Value {
         let tip = scene_from_view(&self.plan).inverse() * tip_in_scene;
         json!({ "arm": arm, "tip": TipTarget::new(&tip, 0.0).pose_numbers(), "jaw": jaw })
     }
 }
 
-/// Where the tip goes, as the picture shows it, and how far the trigger is pressed: above the needle, to where the expert grips it, up
-/// again.
+/// Where the tip goes, as the picture shows it, and how far the trigger is pressed: above the
+/// needle, to where the expert grips it, up again.
 fn way_to_lift() -> Value {
     let shown = Shown::of("needle-lift");
     let firsts = shown.targets.iter().map(|targets| targets.first);
@@ -100,7 +102,8 @@ fn way_to_lift() -> Value {
     ])
 }
 
-/// The picture's axes from what the scene file says of the endoscope: x to the right, y up, z towards the viewer.
+/// The picture's axes from what the scene file says of the endoscope: x to the right, y up, z
+/// towards the viewer.
 fn scene_from_view(plan: &Plan) -> Isometry3<f64> {
     let task = &plan.setup.task;
     let camera = task
@@ -188,7 +191,8 @@ pub(crate) fn start_in_headset(browser: &mut Browser) {
     browser.wait_until(&format!("written.has({EPISODE})"));
 }
 
-/// A controller that is not tracked in mid-motion lets go and the arm rests; one that comes back with its squeeze held moves nothing.
+/// A controller that is not tracked in mid-motion lets go and the arm rests; one that comes back
+/// with its squeeze held moves nothing.
 pub(crate) fn loses_tracking(browser: &mut Browser) {
     browser.evaluate("operator.lose([0, 1, 0]).then(() => true)");
     browser.wait_until("!told.teleop.arms[0].engaged && told.arms[0].commanded_velocity.every((v) => Math.abs(v) < 1e-4)");
@@ -206,8 +210,9 @@ pub(crate) fn wait_for_end(browser: &mut Browser, words: &str) {
     assert_eq!(errors, Vec::<String>::new());
 }
 
-/// By gamepad alone, its buttons too, a needle is lifted in the second attempt: the first is thrown away and done again. The dataset says who
-/// did it and how late the hand was, and can be trained on.
+/// By gamepad alone, its buttons too, a needle is lifted in the second attempt: the first is thrown
+/// away and done again. The dataset says who did it and how late the hand was, and can be trained
+/// on.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn a_gamepad_lifts_the_needle_and_the_dataset_trains() {
@@ -236,7 +241,8 @@ fn a_gamepad_lifts_the_needle_and_the_dataset_trains() {
     says_who_and_trains(&folder, &data, &json!("second try"));
 }
 
-/// Before the start the hand moves nothing. While it holds its clutch the button does not start the episode, nor does one that goes on being held.
+/// Before the start the hand moves nothing. While it holds its clutch the button does not start the
+/// episode, nor does one that goes on being held.
 fn does_not_start_with_the_clutch(browser: &mut Browser) {
     browser.wait_until(&says("waits for its start"));
     browser.wait_until("!document.querySelector('[data-episode=start]').disabled");
@@ -265,7 +271,8 @@ fn label(browser: &mut Browser, text: &str) {
     assert_eq!(browser.evaluate("told.arms[0].state"), "ENABLED");
 }
 
-/// What the dataset in `data` says of its one episode, its label among it; some steps of training on it.
+/// What the dataset in `data` says of its one episode, its label among it; some steps of training
+/// on it.
 fn says_who_and_trains(folder: &Path, data: &Path, label: &Value) {
     let note = std::fs::read_to_string(data.join("meta/trocar_episodes.jsonl")).unwrap();
     let note: Value = serde_json::from_str(note.trim()).unwrap();
@@ -310,7 +317,8 @@ fn says_who_and_trains(folder: &Path, data: &Path, label: &Value) {
     assert!(folder.join("policy/model.safetensors").is_file());
 }
 
-/// By keyboard alone, after the page was hidden and reloaded in mid-motion: each time the arm came to rest.
+/// By keyboard alone, after the page was hidden and reloaded in mid-motion: each time the arm came
+/// to rest.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn a_keyboard_lifts_the_needle() {
@@ -347,8 +355,8 @@ fn a_keyboard_lifts_the_needle() {
     verified(&log);
 }
 
-/// In a headset alone, whose squeeze is the clutch, whose trigger closes the jaw and whose buttons begin the episode, twice, a needle is lifted
-/// for a dataset that can be trained on.
+/// In a headset alone, whose squeeze is the clutch, whose trigger closes the jaw and whose buttons
+/// begin the episode, twice, a needle is lifted for a dataset that can be trained on.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn a_headset_lifts_the_needle_and_the_dataset_trains() {
@@ -367,8 +375,8 @@ fn a_headset_lifts_the_needle_and_the_dataset_trains() {
     says_who_and_trains(&folder, &data, &Value::Null);
 }
 
-/// A controller that is held otherwise than its instrument points does not engage, and the page says by how much; turned so, with its squeeze
-/// still held, it does.
+/// A controller that is held otherwise than its instrument points does not engage, and the page
+/// says by how much; turned so, with its squeeze still held, it does.
 fn aligns(browser: &mut Browser, folder: &Path) {
     let before = browser.evaluate("told.teleop.arms[0].tip");
     for (degrees, said) in [

@@ -67,7 +67,8 @@ fn a_log_is_looked_through() {
     assert_eq!(served.code(), 0);
 }
 
-/// A log at `to` of the run in `log`, as if its arm had been on a CAN bus that got busier every half second, and nobody had said where the needle was.
+/// A log at `to` of the run in `log`, as if its arm had been on a CAN bus that got busier every
+/// half second, and nobody had said where the needle was.
 pub(crate) fn as_if_on_can(log: &Path, to: &Path) {
     let read = RunLog::open(log).unwrap();
     let source = |file: &'static str| Source::embedded(file, read.text(file).unwrap());
@@ -103,8 +104,8 @@ pub(crate) fn as_if_on_can(log: &Path, to: &Path) {
     recorder.finish(read.outcome.as_ref()).unwrap();
 }
 
-/// The page on the log of a CAN run says the load and the errors of its bus at each place of the time line; it has the instruments and the
-/// ground, and no needle.
+/// The page on the log of a CAN run says the load and the errors of its bus at each place of the
+/// time line; it has the instruments and the ground, and no needle.
 #[test]
 fn a_log_of_a_bus_is_looked_through() {
     let made = made_log("console-log-can-made", "needle-lift");
@@ -148,8 +149,8 @@ fn a_log_of_a_bus_is_looked_through() {
     assert_ne!(begin[16..], end[16..], "the arm moved");
 }
 
-/// The scene is there, its cameras too, those that the log has no images of; depth, ids and where everything is are told for a place, and so is
-/// how the task stood and where the chunk led.
+/// The scene is there, its cameras too, those that the log has no images of; depth, ids and where
+/// everything is are told for a place, and so is how the task stood and where the chunk led.
 fn looks_like_its_run(page: &mut Page, facts: &Value) {
     assert_eq!(facts["scene"], true);
     assert_eq!(facts["cameras"], json!(["endoscope", "side", "wrist"]));

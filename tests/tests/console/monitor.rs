@@ -1,4 +1,5 @@
-//! `trocar monitor` in a pseudo-terminal: it shows a run that has no console, and its keys steer it.
+//! `trocar monitor` in a pseudo-terminal: it shows a run that has no console, and its keys steer
+//! it.
 
 use std::io::{Read as _, Write as _};
 use std::process::{Child, Command, Stdio};

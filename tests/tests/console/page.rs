@@ -82,7 +82,8 @@ impl<S: Read + Write> Page<S> {
     pub(crate) fn acknowledge(&mut self) {
         let seen = std::mem::take(&mut self.unacknowledged);
         let message = json!({ "seen": seen }).to_string();
-        // One that comes too late for the end is no failure; a socket that is closed shows when it is read.
+        // One that comes too late for the end is no failure; a socket that is closed shows when it
+        // is read.
         let _closed = self.socket.send(Message::text(message));
     }
 

@@ -1,4 +1,5 @@
-//! Recordings without a browser: demonstrations by hand that are appended to a dataset (`record --resume`), and what a page is told of the expert's.
+//! Recordings without a browser: demonstrations by hand that are appended to a dataset (`record
+//! --resume`), and what a page is told of the expert's.
 
 use std::path::Path;
 
@@ -27,8 +28,8 @@ fn words<'a>(data: &'a Path, episodes: &'a str) -> [&'a str; 11] {
     ]
 }
 
-/// One episode by hand, the last one of the recording of `words`: it is started, the tip is raised, and it is kept. The result, and the seed
-/// that the page was told.
+/// One episode by hand, the last one of the recording of `words`: it is started, the tip is raised,
+/// and it is kept. The result, and the seed that the page was told.
 fn demonstrate(test: &str, words: &[&str]) -> (Value, Value) {
     let mut served = Served::start_slow(test, words, SLOW_MOTION);
     let mut operator = Operator::take_control(Page::open(&served));

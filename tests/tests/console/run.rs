@@ -12,8 +12,9 @@ use tests::{scratch, trocar};
 /// Nothing takes longer than this.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 
-/// How many times slower than the machine's the clocks of a run are that nobody moves by hand: a machine that is busy with tests beside it
-/// may keep it from its cores for so many times 50 ms until it lacks a measurement and ends.
+/// How many times slower than the machine's the clocks of a run are that nobody moves by hand: a
+/// machine that is busy with tests beside it may keep it from its cores for so many times 50 ms
+/// until it lacks a measurement and ends.
 pub(crate) const SLOW_MOTION: u64 = 4;
 
 /// Setting for pictures whose colours do not matter, as they are drawn sooner.
@@ -26,7 +27,8 @@ fn plainly(words: &[&str]) -> &'static [&'static str] {
     if draws { &["--set", PLAIN] } else { &[] }
 }
 
-/// A process that serves a console. Its folder of operators' sockets is its own; they have short paths.
+/// A process that serves a console. Its folder of operators' sockets is its own; they have short
+/// paths.
 pub(crate) struct Served {
     pub(crate) process: Child,
     pub(crate) port: u16,
@@ -41,7 +43,8 @@ pub(crate) struct Served {
     sockets: PathBuf,
 }
 
-/// How many mutated messages a test sends: `least`, or as many as `TROCAR_MUTATED_MESSAGES` says if that is more.
+/// How many mutated messages a test sends: `least`, or as many as `TROCAR_MUTATED_MESSAGES` says if
+/// that is more.
 pub(crate) fn mutated_messages(least: usize) -> usize {
     let asked = std::env::var("TROCAR_MUTATED_MESSAGES").ok();
     asked.map_or(least, |count| count.parse::<usize>().unwrap().max(least))

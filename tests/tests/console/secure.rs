@@ -1,4 +1,5 @@
-//! Beyond loopback: TLS with a certificate that can be pinned, and nothing but refusals without the token.
+//! Beyond loopback: TLS with a certificate that can be pinned, and nothing but refusals without the
+//! token.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -125,7 +126,8 @@ fn other_machines_come_by_tls_with_the_token() {
     Page::of(socket.unwrap()).wait_for_state("ENABLED");
 }
 
-/// Whoever speaks plain HTTP is told why that fails, and not the token; whoever trusts another certificate leaves.
+/// Whoever speaks plain HTTP is told why that fails, and not the token; whoever trusts another
+/// certificate leaves.
 #[test]
 fn plaintext_and_other_certificates_are_refused() {
     let served = open("console-plaintext");
@@ -160,7 +162,8 @@ fn a_certificate_is_kept_until_it_lacks_a_name() {
     assert!(renewed.fingerprint.is_some() && renewed.fingerprint != known);
 }
 
-/// Connections that never finish their handshake lose their places, and the page opens though they hold on.
+/// Connections that never finish their handshake lose their places, and the page opens though they
+/// hold on.
 #[test]
 fn silent_handshakes_are_given_up() {
     let served = open("console-silent");
@@ -194,7 +197,8 @@ fn silent_handshakes_are_given_up() {
     drop(held);
 }
 
-/// A certificate of one's own is served at loopback too, and the console answers to its names alone.
+/// A certificate of one's own is served at loopback too, and the console answers to its names
+/// alone.
 #[test]
 fn a_certificate_of_ones_own_is_served() {
     let folder = scratch("console-own-certificate");
@@ -240,8 +244,8 @@ fn a_certificate_of_ones_own_is_served() {
     }
 }
 
-/// From another host, which is another network namespace: `tests/scripts/console_from_elsewhere.py` asks for everything, without the token,
-/// with a wrong one, and with the right one.
+/// From another host, which is another network namespace: `tests/scripts/console_from_elsewhere.py`
+/// asks for everything, without the token, with a wrong one, and with the right one.
 #[test]
 #[ignore = "needs network namespaces: `make test-console` runs it"]
 fn another_host_gets_nothing_without_the_token() {

@@ -60,7 +60,8 @@ fn one_page_steers_and_others_look_on() {
     );
     assert!(one.command("speed 40").0);
     other.wait_for("state", |state| state["speed_percent"] == 40);
-    // More than the whole, or anything that is no verb of the operator's, does not get further than the console.
+    // More than the whole, or anything that is no verb of the operator's, does not get further than
+    // the console.
     for command in [
         "speed 101",
         "speed 0",
@@ -147,7 +148,8 @@ fn a_page_hears_what_the_run_does() {
     }
 }
 
-/// A page that acknowledges nothing is sent a few messages and no more; what it then gets is of now. Of the end it is told all the same.
+/// A page that acknowledges nothing is sent a few messages and no more; what it then gets is of
+/// now. Of the end it is told all the same.
 #[test]
 fn a_slow_page_sees_the_newest() {
     let mut served = Served::run("console-slow", "noop");
@@ -234,7 +236,8 @@ fn too_large_and_too_many_messages_end_a_page() {
     drop(pages);
 }
 
-/// Thousands of broken messages, from the page that steers: none moves the paused arm or resumes it, and the console stands.
+/// Thousands of broken messages, from the page that steers: none moves the paused arm or resumes
+/// it, and the console stands.
 #[test]
 fn mutated_messages_do_nothing() {
     let mut served = Served::run("console-mutated", "random");
@@ -270,8 +273,8 @@ fn mutated_messages_do_nothing() {
     page.wait_for_state("ENABLED");
 }
 
-/// A message of the page with something wrong in it. None is a verb that would move the arm: `resume` and `enable` are not among what it is
-/// made of, nor what changing it could make.
+/// A message of the page with something wrong in it. None is a verb that would move the arm:
+/// `resume` and `enable` are not among what it is made of, nor what changing it could make.
 fn mutated(random: &mut SplitMix64) -> Message {
     const WHOLE: [&str; 6] = [
         r#"{"command":"pause"}"#,

@@ -19,7 +19,8 @@ const MUTATED: usize = 3000;
 /// An episode as long as a million of them take.
 const MINUTES: &str = "scene.episode.time_limit_s=300";
 
-/// A run that a page moves by hand, in slow motion: machines that build beside it must not make hands late.
+/// A run that a page moves by hand, in slow motion: machines that build beside it must not make
+/// hands late.
 fn by_hand(test: &str, task: &str) -> Served {
     let log = tests::scratch(&format!("{test}-log")).join("run.mcap");
     let words = ["run", "--task", task, "--policy", "teleop", "--seed", "7"];
@@ -269,8 +270,9 @@ fn another_page_is_not_heard(operator: &mut Operator, second: &mut Page) {
         .wait_for("state", |state| lost(state).contains("gave up control"));
 }
 
-/// What the hand does is what the tip does on the picture; then one thing after the other is lost in mid-motion. Each time the arm comes
-/// to rest at once and goes on resting though the hand moves with its clutch held, until it takes the clutch anew.
+/// What the hand does is what the tip does on the picture; then one thing after the other is lost
+/// in mid-motion. Each time the arm comes to rest at once and goes on resting though the hand moves
+/// with its clutch held, until it takes the clutch anew.
 #[test]
 fn hands_move_the_arm_and_whatever_is_lost_stops_it() {
     let _turn = tests::alone();
@@ -362,7 +364,8 @@ fn each_hand_moves_its_own_arm() {
     drop(served);
 }
 
-/// Thousands of broken messages of hands, from the page that steers and whose clutch is open: none moves the arm, and the console stands.
+/// Thousands of broken messages of hands, from the page that steers and whose clutch is open: none
+/// moves the arm, and the console stands.
 #[test]
 fn mutated_hands_move_nothing() {
     let _turn = tests::alone();
@@ -406,7 +409,8 @@ fn mutated_hands_move_nothing() {
     assert!(moved_m < 1e-5, "the tip moved by {moved_m} m");
 }
 
-/// How far the commanded tip of the first arm was at most from where it was at `from`, in all ticks of `log` up to `until`, s.
+/// How far the commanded tip of the first arm was at most from where it was at `from`, in all ticks
+/// of `log` up to `until`, s.
 fn greatest_way_m(log: &Path, from: f64, until: f64) -> f64 {
     let log = RunLog::open(log).unwrap();
     let ticks = log.ticks().map(|(tick, _)| tick);
@@ -422,8 +426,9 @@ fn greatest_way_m(log: &Path, from: f64, until: f64) -> f64 {
     ways.into_iter().fold(0.0, f64::max)
 }
 
-/// A message of hands with something wrong in it. Its clutch is held in none that is whole: a hand that was never heard to let go can't
-/// engage, and what changing it makes is at most one that holds it.
+/// A message of hands with something wrong in it. Its clutch is held in none that is whole: a hand
+/// that was never heard to let go can't engage, and what changing it makes is at most one that
+/// holds it.
 fn mutated(random: &mut SplitMix64) -> Message {
     const WHOLE: [&str; 4] = [
         r#"{"hands":{"t":1e9,"arms":[{"clutch":true,"at":[0.5,0.5,0.5],"turn":[0,0,0,1],"jaw":0.5}]}}"#,

@@ -2,8 +2,8 @@
 
 use super::*;
 
-/// The policy looks through them: the arm holds until they are there again and the policy has answered a new frame, and goes on from where
-/// it is.
+/// The policy looks through them: the arm holds until they are there again and the policy has
+/// answered a new frame, and goes on from where it is.
 #[test]
 fn dead_or_hung_cameras_are_restarted_and_the_arm_goes_on() {
     let _turn = alone();
@@ -72,7 +72,8 @@ fn the_policys_cameras_without_a_restart_end_the_run_at_rest() {
     );
 }
 
-/// Nothing but the log sees them: the arm never stops, and the log says from when on it has no frames.
+/// Nothing but the log sees them: the arm never stops, and the log says from when on it has no
+/// frames.
 #[test]
 fn an_arm_whose_log_alone_loses_its_cameras_goes_on() {
     let _turn = alone();

@@ -1,4 +1,5 @@
-//! Processes that were configured otherwise than the run that they take part in, from the beginning or when they join it later.
+//! Processes that were configured otherwise than the run that they take part in, from the beginning
+//! or when they join it later.
 
 use iceoryx2::prelude::ZeroCopySend;
 use tests::repository;
@@ -50,8 +51,8 @@ fn topics(test: &str) -> String {
     format!("faults-{}-{test}", std::process::id())
 }
 
-/// Runs that are not of the world that `trocar simulator` is: each is refused by what differs before an arm has torque, and none uses up the
-/// world's episode.
+/// Runs that are not of the world that `trocar simulator` is: each is refused by what differs
+/// before an arm has torque, and none uses up the world's episode.
 #[test]
 fn another_world_than_the_runs_is_refused_by_what_differs() {
     let _turn = alone();
@@ -107,8 +108,8 @@ fn another_world_than_the_runs_is_refused_by_what_differs() {
     assert!(begun.is_null(), "no arm was enabled: {begun}");
 }
 
-/// Cameras of another scene end as soon as they see the run's, and show nothing: a run that waits for them ends, one under way holds its arm until
-/// the right ones are there.
+/// Cameras of another scene end as soon as they see the run's, and show nothing: a run that waits
+/// for them ends, one under way holds its arm until the right ones are there.
 #[test]
 fn cameras_of_another_scene_show_nothing() {
     let _turn = alone();
@@ -190,7 +191,8 @@ impl Message for LaterHello {
     const TOPIC: &'static str = PolicyHello::TOPIC;
 }
 
-/// A policy of another version of the program is refused by the name of the topic, before an arm has torque.
+/// A policy of another version of the program is refused by the name of the topic, before an arm
+/// has torque.
 #[test]
 fn a_policy_of_another_version_is_refused_by_its_topic() {
     let _turn = alone();
@@ -215,7 +217,8 @@ fn a_policy_of_another_version_is_refused_by_its_topic() {
     );
 }
 
-/// A policy process that is killed is not started again with what has come into its checkpoint's folder meanwhile, however many restarts are left.
+/// A policy process that is killed is not started again with what has come into its checkpoint's
+/// folder meanwhile, however many restarts are left.
 #[test]
 fn a_checkpoint_that_has_changed_is_not_started_again() {
     let _turn = alone();

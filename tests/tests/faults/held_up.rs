@@ -1,9 +1,11 @@
-//! A run that is kept from its core, whose log's disk stands still, or whose policy is for something else.
+//! A run that is kept from its core, whose log's disk stands still, or whose policy is for
+//! something else.
 
 use super::*;
 
-/// Stopped for so short that the arms' measurements are not missed: overruns are counted, and the run goes on. Stopped for longer, the
-/// arms play their tails, and the run ends with a latched fault.
+/// Stopped for so short that the arms' measurements are not missed: overruns are counted, and the
+/// run goes on. Stopped for longer, the arms play their tails, and the run ends with a latched
+/// fault.
 #[test]
 fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
     let _turn = alone();
@@ -34,7 +36,8 @@ fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
         // A busy machine makes the short one longer.
         assert!(missed || reason == "interrupted", "{reason}");
         assert_eq!(code, Some(1));
-        // The signals take effect a moment after they are sent, and the longest period is one that no overrun counts.
+        // The signals take effect a moment after they are sent, and the longest period is one that
+        // no overrun counts.
         let figure = |name: &str| result["real_time"].pointer(name).unwrap().as_f64().unwrap();
         let (overruns, longest_us) = (figure("/overruns"), figure("/period_us/max"));
         assert!(
@@ -55,7 +58,8 @@ fn a_run_kept_from_its_core_goes_on_or_ends_at_rest() {
     }
 }
 
-/// Kept from its cores so often that more periods are skipped within a second than are allowed, the run ends at rest and says so.
+/// Kept from its cores so often that more periods are skipped within a second than are allowed, the
+/// run ends at rest and says so.
 #[test]
 fn too_many_overruns_end_the_run_at_rest() {
     let _turn = alone();
@@ -97,7 +101,8 @@ fn too_many_overruns_end_the_run_at_rest() {
     assert!(named);
 }
 
-/// With `fault.ends_run = false` the arm holds with its fault until the operator clears it, and moves again once it is enabled.
+/// With `fault.ends_run = false` the arm holds with its fault until the operator clears it, and
+/// moves again once it is enabled.
 #[test]
 fn a_fault_can_be_cleared_and_the_run_goes_on() {
     let _turn = alone();
@@ -183,7 +188,8 @@ impl Drop for StandingDisk {
 /// Longer than the log's queue holds ticks, ns.
 const STANDS_NS: u64 = 8_000 * MS_NS;
 
-/// A replay of the log at `path` is identical up to the first record that the logger dropped, ends there, and says where and what.
+/// A replay of the log at `path` is identical up to the first record that the logger dropped, ends
+/// there, and says where and what.
 fn ends_at_the_gap(path: &Path, log: &RunLog) {
     let mut steps = log.steps().enumerate();
     let gap = steps.find(|(_, step)| step.dropped_before > 0 || step.chunk_dropped);
@@ -208,7 +214,8 @@ fn ends_at_the_gap(path: &Path, log: &RunLog) {
     );
 }
 
-/// The disk of the log stands still for longer than the queue reaches: the loop does not wait, and the log says what it lacks.
+/// The disk of the log stands still for longer than the queue reaches: the loop does not wait, and
+/// the log says what it lacks.
 #[test]
 fn a_standing_disk_costs_records_and_not_the_loop() {
     let _turn = alone();
@@ -252,7 +259,8 @@ fn a_standing_disk_costs_records_and_not_the_loop() {
     );
 }
 
-/// A policy for other arms or a camera that there is not is refused before anything moves; one that comes back as another ends the run.
+/// A policy for other arms or a camera that there is not is refused before anything moves; one that
+/// comes back as another ends the run.
 #[test]
 fn a_policy_for_something_else_is_refused_by_name() {
     let _turn = alone();

@@ -1,4 +1,5 @@
-//! Runs with faults whose logs have a bound: what is kept replays from where it begins, the faults with it.
+//! Runs with faults whose logs have a bound: what is kept replays from where it begins, the faults
+//! with it.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt as _;
@@ -19,7 +20,8 @@ fn earlier(run: &Run) -> PathBuf {
     run.log.with_extension("earlier.mcap")
 }
 
-/// Waits until the log has lost its beginning: until a second full file has taken the place of the first.
+/// Waits until the log has lost its beginning: until a second full file has taken the place of the
+/// first.
 fn loses_its_beginning(run: &Run) {
     let clock = MonotonicClock::new();
     let file = || fs::metadata(earlier(run)).ok().map(|found| found.ino());
@@ -39,7 +41,8 @@ fn operate(run: &Run, event: OperatorEvent) {
     ask(Operator::Event(event), &of).unwrap();
 }
 
-/// A run in real time that has lost its beginning, and then its policy, which was started again, while the operator was there.
+/// A run in real time that has lost its beginning, and then its policy, which was started again,
+/// while the operator was there.
 fn troubled(test: &str) -> Run {
     let mut run = Run::start_with(test, CHECKPOINT, 2, None, &["--log-max-mb", "16"]);
     loses_its_beginning(&run);

@@ -1,5 +1,6 @@
-//! Rows of the fault matrix (`tests/scripts/fault_matrix.py`): from the log of a run with a fault, in ticks of 1 ms, when the fault was
-//! detected, when the arm was at rest, and whether limits were kept.
+//! Rows of the fault matrix (`tests/scripts/fault_matrix.py`): from the log of a run with a fault,
+//! in ticks of 1 ms, when the fault was detected, when the arm was at rest, and whether limits were
+//! kept.
 #![expect(clippy::print_stdout, reason = "the rows are printed too")]
 
 use std::fs;
@@ -11,7 +12,8 @@ use trocar::session::operator::{Ask, Command, ask};
 use trocar_log::verify::verify;
 use trocar_log::{Loss, RunLog};
 
-/// Ticks that an arm may take to rest after a fault is detected: what a run gives its arms at its end, more than twice the longest stop.
+/// Ticks that an arm may take to rest after a fault is detected: what a run gives its arms at its
+/// end, more than twice the longest stop.
 const STOP_TICKS_MAX: usize = 500;
 
 /// The newest tick that the run of `process` tells an operator, once it does.
@@ -36,9 +38,11 @@ pub(crate) fn newest_tick(process: u32) -> u64 {
 /// How the first arm of a run took a fault.
 #[derive(Clone, Debug)]
 pub(crate) struct Taken {
-    /// Ticks from the one before the fault was injected until it was detected; none if nothing detects it.
+    /// Ticks from the one before the fault was injected until it was detected; none if nothing
+    /// detects it.
     pub(crate) detected: Option<u64>,
-    /// Ticks that the controller did from then on until the arm was at rest, and at most; none if the arm goes on.
+    /// Ticks that the controller did from then on until the arm was at rest, and at most; none if
+    /// the arm goes on.
     rests: Option<(usize, usize)>,
     /// Ticks from its rest until it moves again, if it does.
     pub(crate) again: Option<u64>,
@@ -51,7 +55,8 @@ impl Taken {
         Self::rests_within(log, injected, is_stopped, STOP_TICKS_MAX)
     }
 
-    /// Chunks that are refused from `injected` on: the arm follows the last good one to its end, `chunk_ticks` after its observation.
+    /// Chunks that are refused from `injected` on: the arm follows the last good one to its end,
+    /// `chunk_ticks` after its observation.
     pub(crate) fn refuses(log: &RunLog, injected: u64, chunk_ticks: usize) -> Self {
         let within = chunk_ticks + STOP_TICKS_MAX;
         Self::rests_within(log, injected, is_refusal, within)
@@ -147,7 +152,8 @@ fn limits(log: &RunLog) -> String {
     format!("held{how}")
 }
 
-/// Keeps and prints a row of the matrix: what the fault is, as what it is seen, how the arm took it, and what comes of the run.
+/// Keeps and prints a row of the matrix: what the fault is, as what it is seen, how the arm took
+/// it, and what comes of the run.
 pub(crate) fn row(name: &str, fault: &str, seen: &str, taken: &Taken, then: &str) {
     let ticks = |ticks: Option<u64>| ticks.map_or_else(|| "-".to_owned(), |it| it.to_string());
     let rests = taken.rests.map_or_else(

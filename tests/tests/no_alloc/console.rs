@@ -12,7 +12,8 @@ use trocar_log::{TickRecord, TickTiming};
 use super::{HOME, one_arm};
 use trocar::rt::thread_allocations;
 
-/// A chunk that wants the tip below the floor of the workspace, observed at `now`; every third is nonsense.
+/// A chunk that wants the tip below the floor of the workspace, observed at `now`; every third is
+/// nonsense.
 fn chunk(now: TimeNs, sequence: u64) -> Chunk {
     let side = if sequence.is_multiple_of(2) {
         0.01

@@ -1,4 +1,5 @@
-//! The control thread's end of a log with a bound: it hands over the controller's state now and then.
+//! The control thread's end of a log with a bound: it hands over the controller's state now and
+//! then.
 
 use std::error::Error;
 

@@ -1,4 +1,5 @@
-//! `run --backend topics`: a controller and the arms that it leads are two processes, each of which may die.
+//! `run --backend topics`: a controller and the arms that it leads are two processes, each of which
+//! may die.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -102,8 +103,8 @@ impl Watch {
     }
 }
 
-/// The task is done by a controller in one process and arms, world and cameras in another; of one arm by the network, which looks through them, of
-/// two by the expert.
+/// The task is done by a controller in one process and arms, world and cameras in another; of one
+/// arm by the network, which looks through them, of two by the expert.
 #[test]
 fn tasks_are_done_with_the_simulator_in_another_process() {
     let _turn = alone();
@@ -124,8 +125,8 @@ fn tasks_are_done_with_the_simulator_in_another_process() {
     }
 }
 
-/// A run with the simulator in another process, or the reason that it gives for its failure: a machine that stands still for longer than
-/// measurements may be away ends it.
+/// A run with the simulator in another process, or the reason that it gives for its failure: a
+/// machine that stands still for longer than measurements may be away ends it.
 fn done_elsewhere(task: &str, policy: &str, cameras: &str, seed: u64) -> Result<(), String> {
     let seed = seed.to_string();
     let mut shown = vec!["--seed", &seed];
@@ -162,7 +163,8 @@ fn done_elsewhere(task: &str, policy: &str, cameras: &str, seed: u64) -> Result<
     }
 }
 
-/// An arm whose controller is killed stops as its last set-point said and holds there; another run is told that its episode is used up.
+/// An arm whose controller is killed stops as its last set-point said and holds there; another run
+/// is told that its episode is used up.
 #[test]
 fn arms_whose_controller_dies_stop_and_hold() {
     let _turn = alone();
@@ -232,7 +234,8 @@ fn a_run_whose_arms_die_ends_with_a_fault() {
     assert!(replay(&whole).unwrap().identical);
 }
 
-/// A robot without a task: limits, a policy, and arms that answer. A signal brings it to rest, and its arm loses torque.
+/// A robot without a task: limits, a policy, and arms that answer. A signal brings it to rest, and
+/// its arm loses torque.
 #[test]
 fn a_robot_on_topics_rests_without_torque_after_a_signal() {
     let _turn = alone();
@@ -287,7 +290,8 @@ fn a_robot_on_topics_rests_without_torque_after_a_signal() {
     );
 }
 
-/// A robot's run without a page is marked over the operator's socket, and its log has the last mark.
+/// A robot's run without a page is marked over the operator's socket, and its log has the last
+/// mark.
 #[test]
 fn a_robot_on_topics_is_marked_without_a_page() {
     let _turn = alone();
@@ -331,7 +335,8 @@ fn of(run: u32, json: bool) -> Ask {
     Ask { run, json }
 }
 
-/// A person says how the run goes, and otherwise a moment later; a label that is none changes nothing.
+/// A person says how the run goes, and otherwise a moment later; a label that is none changes
+/// nothing.
 fn marks(run: u32, log: &Path) {
     let says = |mark, label: Option<&str>| {
         let label = label.map(str::to_owned);

@@ -1,4 +1,5 @@
-//! `trocar policy`: a checkpoint in a process that a person starts, for sessions in lockstep and in real time.
+//! `trocar policy`: a checkpoint in a process that a person starts, for sessions in lockstep and in
+//! real time.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, ChildStderr, Command, Stdio};
@@ -70,7 +71,8 @@ fn run(policy: &str, more: &[&str]) -> Command {
     command
 }
 
-/// Two sessions in lockstep, one after another: each has the command hash of the policy inside the session's process.
+/// Two sessions in lockstep, one after another: each has the command hash of the policy inside the
+/// session's process.
 #[test]
 fn by_hand_a_policy_has_the_hash_of_its_own_runs() {
     let folder = scratch("by-hand-lockstep");
@@ -97,7 +99,8 @@ fn by_hand_a_policy_has_the_hash_of_its_own_runs() {
     assert_eq!(served, [own.clone(), own]);
 }
 
-/// A supervised run waits for a policy that is killed, and goes on with the one that is started in its place.
+/// A supervised run waits for a policy that is killed, and goes on with the one that is started in
+/// its place.
 #[test]
 fn by_hand_a_policy_joins_and_rejoins_a_run() {
     let _turn = alone();

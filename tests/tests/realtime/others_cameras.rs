@@ -1,4 +1,5 @@
-//! `run --topics`: a simulated run in real time whose frames are others', those of `trocar cameras` or of anyone.
+//! `run --topics`: a simulated run in real time whose frames are others', those of `trocar cameras`
+//! or of anyone.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -55,7 +56,8 @@ impl Drop for Cameras {
     }
 }
 
-/// A run draws nothing itself; its arm holds when others' cameras are killed, and goes on when another process shows frames in their place.
+/// A run draws nothing itself; its arm holds when others' cameras are killed, and goes on when
+/// another process shows frames in their place.
 #[test]
 fn others_cameras_join_and_rejoin_a_run() {
     let _turn = alone();
@@ -70,7 +72,8 @@ fn others_cameras_join_and_rejoin_a_run() {
         "--set",
         "scene.episode.time_limit_s=300",
     ];
-    // Cameras of a scene that is configured otherwise end by what differs, as soon as they see the run's.
+    // Cameras of a scene that is configured otherwise end by what differs, as soon as they see the
+    // run's.
     let mut other = Cameras::start(&name, &[]);
     let mut session = run(&name, &supervised)
         .args(["--seed", "3", "--log"])
@@ -123,7 +126,8 @@ fn others_cameras_join_and_rejoin_a_run() {
     expect_nothing_left(&[session.id(), other.0.id(), first.0.id(), second.0.id()]);
 }
 
-/// A camera of one's own that goes by the run's snapshots: grey all over. Its stamps are those of the arms, so that frames and arms go together.
+/// A camera of one's own that goes by the run's snapshots: grey all over. Its stamps are those of
+/// the arms, so that frames and arms go together.
 fn grey_camera(topics: &str, side: u32, ends: &AtomicBool) -> u64 {
     let node = TopicNode::join(topics).unwrap();
     let lens = Intrinsics::from_vertical_fov(side, side, 0.9);
@@ -151,7 +155,8 @@ fn grey_camera(topics: &str, side: u32, ends: &AtomicBool) -> u64 {
     shown
 }
 
-/// Whoever writes frames takes part: the policy answers what anyone shows it, and the log keeps that.
+/// Whoever writes frames takes part: the policy answers what anyone shows it, and the log keeps
+/// that.
 #[test]
 fn a_policy_sees_what_anyone_shows() {
     let _turn = alone();
@@ -199,7 +204,8 @@ fn others_frames_of_another_size_are_refused_by_name() {
     });
 }
 
-/// A camera that nobody shows is waited for, named, and not for ever; in lockstep nobody can show any.
+/// A camera that nobody shows is waited for, named, and not for ever; in lockstep nobody can show
+/// any.
 #[test]
 fn frames_that_nobody_shows_are_named() {
     let _turn = alone();

@@ -82,7 +82,8 @@ fn untrained(test: &str) -> PathBuf {
     folder
 }
 
-/// The log has two arms, and whenever one is given a chunk the other is given its part of the same answer; gives their number.
+/// The log has two arms, and whenever one is given a chunk the other is given its part of the same
+/// answer; gives their number.
 fn answers(log: &RunLog) -> usize {
     let mut count = 0;
     for (tick, chunks) in log.ticks() {

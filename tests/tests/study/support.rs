@@ -71,7 +71,8 @@ pub(crate) fn cell_folders(results: &Path, kind: &str) -> Vec<PathBuf> {
     folders
 }
 
-/// The committed tiny study with small pictures and with no more time than the experts need, as `study.toml` in `folder`.
+/// The committed tiny study with small pictures and with no more time than the experts need, as
+/// `study.toml` in `folder`.
 pub(crate) fn tiny(folder: &Path) -> PathBuf {
     let config = repository().join("config");
     let mut text = fs::read_to_string(config.join("studies/tiny.toml")).unwrap();

@@ -205,7 +205,8 @@ fn a_study_cut_off_or_in_shards_comes_to_the_same_report() {
 
     let (dom, complaints) = in_the_browser(&folder, "one.html");
     assert!(dom.contains("<h1>A tiny study</h1>"), "{complaints}");
-    // Tables of rates and one curve over demonstrations, with a line for the loss of either network.
+    // Tables of rates and one curve over demonstrations, with a line for the loss of either
+    // network.
     let count = |what: &str| dom.matches(what).count();
     assert!(
         count("<svg") == 3 && count("<polyline") >= 3,

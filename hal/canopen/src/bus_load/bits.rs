@@ -1,7 +1,8 @@
 //! How many bits a classical frame has on the wire.
 //!
-//! ISO 11898-1: a data frame with an 11-bit identifier has 34 + 8n bits that are stuffed (start, identifier, control, data,
-//! checksum) and 13 that are not (checksum and acknowledge delimiters, acknowledge, end, and the 3 bits between frames).
+//! ISO 11898-1: a data frame with an 11-bit identifier has 34 + 8n bits that are stuffed (start,
+//! identifier, control, data, checksum) and 13 that are not (checksum and acknowledge delimiters,
+//! acknowledge, end, and the 3 bits between frames).
 
 use crate::Frame;
 
@@ -14,7 +15,8 @@ pub const fn least(data_bytes: u8) -> u32 {
     47 + 8 * data_bytes as u32
 }
 
-/// Bits of a frame with `data_bytes` at most: a stuff bit after the first five bits and then after every four.
+/// Bits of a frame with `data_bytes` at most: a stuff bit after the first five bits and then after
+/// every four.
 #[must_use]
 pub const fn most(data_bytes: u8) -> u32 {
     least(data_bytes) + (34 + 8 * data_bytes as u32 - 1) / 4

@@ -1,9 +1,11 @@
 //! What a plan of frames costs, and whether a bus can carry it.
 //!
-//! A plan counts what is on the bus in every cycle while all is well: SYNC, a set-point and an answer an axis, heartbeats. It
-//! takes for granted that its nodes say nothing else by themselves, which bring-up sees to (no other PDO, no answer by the clock,
-//! no SYNC and no time stamp of a drive's own), and that nodes which are in no plan are silent. What is said when something is
-//! wrong (emergencies, which are not held up), and what anybody asks a dictionary, has the share that is left over.
+//! A plan counts what is on the bus in every cycle while all is well: SYNC, a set-point and an
+//! answer an axis, heartbeats. It takes for granted that its nodes say nothing else by themselves,
+//! which bring-up sees to (no other PDO, no answer by the clock, no SYNC and no time stamp of a
+//! drive's own), and that nodes which are in no plan are silent. What is said when something is
+//! wrong (emergencies, which are not held up), and what anybody asks a dictionary, has the share
+//! that is left over.
 
 pub mod bits;
 
@@ -11,8 +13,8 @@ use core::fmt;
 
 use crate::number::{real, seconds};
 
-/// Share of the bus that a plan may use at worst-case stuffing, per mille. The rest is for transfers, emergencies and
-/// repeated frames.
+/// Share of the bus that a plan may use at worst-case stuffing, per mille. The rest is for
+/// transfers, emergencies and repeated frames.
 pub const SHARE_MAX_PER_MILLE: u64 = 950;
 
 /// Frames of one kind in each cycle.
@@ -61,8 +63,8 @@ impl Load {
 }
 
 impl Plan {
-    /// The plan of a bus with `axes`, of which each gets a set-point of `command_bytes` and answers with
-    /// `answer_bytes` in every cycle.
+    /// The plan of a bus with `axes`, of which each gets a set-point of `command_bytes` and answers
+    /// with `answer_bytes` in every cycle.
     #[must_use]
     pub fn cyclic(
         line: u8,

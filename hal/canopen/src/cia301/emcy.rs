@@ -1,7 +1,7 @@
 //! Emergencies: what a node says when something went wrong, and when it is over.
 //!
-//! CiA 301, section 7.2.7: figure 31 (frame), table 26 (codes); 1001h in table 48 (error register). Codes from CiA 402-2,
-//! table 7, where they concern a drive.
+//! CiA 301, section 7.2.7: figure 31 (frame), table 26 (codes); 1001h in table 48 (error register).
+//! Codes from CiA 402-2, table 7, where they concern a drive.
 
 use core::fmt;
 

@@ -1,8 +1,9 @@
-//! CiA 301, the application layer: one service a file, each with a view of bytes that may be nonsense and a
-//! representation that cannot be.
+//! CiA 301, the application layer: one service a file, each with a view of bytes that may be
+//! nonsense and a representation that cannot be.
 //!
-//! `parse` takes the bytes of a frame and gives the representation or the [`WireError`](super::WireError) that says what
-//! is wrong; `emit` goes back, and what was emitted parses to the same again. Nothing here allocates.
+//! `parse` takes the bytes of a frame and gives the representation or the
+//! [`WireError`](super::WireError) that says what is wrong; `emit` goes back, and what was emitted
+//! parses to the same again. Nothing here allocates.
 
 pub mod abort;
 pub mod cob;

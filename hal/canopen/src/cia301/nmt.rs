@@ -1,6 +1,7 @@
 //! Network management: the master's commands, and the state that every node's heartbeat carries.
 //!
-//! CiA 301, section 7.2.8.2: table 31 ff. (node control), figure 39 (boot-up), figure 40 (heartbeat).
+//! CiA 301, section 7.2.8.2: table 31 ff. (node control), figure 39 (boot-up), figure 40
+//! (heartbeat).
 
 use super::Cob;
 use crate::frame::exactly;
@@ -118,7 +119,8 @@ impl NmtTarget {
 /// The state that a node's heartbeat tells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NmtState {
-    /// Said once, on the way to pre-operational. From a node that was operational it means that the node was reset.
+    /// Said once, on the way to pre-operational. From a node that was operational it means that the
+    /// node was reset.
     BootUp,
     /// Nothing but network management.
     Stopped,
@@ -143,8 +145,8 @@ impl NmtState {
     /// The state that a heartbeat's data bytes tell.
     ///
     /// # Errors
-    /// [`WireError`] for another length or a reserved state. The toggle bit of node guarding, an older service, counts
-    /// as reserved.
+    /// [`WireError`] for another length or a reserved state. The toggle bit of node guarding, an
+    /// older service, counts as reserved.
     pub fn parse(data: &[u8]) -> Result<Self, WireError> {
         let [state] = exactly(data)?;
         match state {

@@ -1,6 +1,7 @@
 //! Process data: how the communication and mapping parameters of 1400h to 1BFFh are packed.
 //!
-//! CiA 301: tables 65 and 69 (COB-ID), 66 and 70 (transmission type), figures 77 and 79 (mapping entry).
+//! CiA 301: tables 65 and 69 (COB-ID), 66 and 70 (transmission type), figures 77 and 79 (mapping
+//! entry).
 
 use super::Address;
 use crate::{CanId, WireError};
@@ -170,7 +171,8 @@ pub struct MappingEntry {
 }
 
 impl MappingEntry {
-    /// What a mapping entry says. Every value says something; whether there is such an object is the dictionary's.
+    /// What a mapping entry says. Every value says something; whether there is such an object is
+    /// the dictionary's.
     #[must_use]
     pub fn parse(raw: u32) -> Self {
         let [bits, sub, low, high] = raw.to_le_bytes();

@@ -1,7 +1,8 @@
 //! Service data: one side of the conversation between a client and a node's object dictionary.
 //!
-//! CiA 301, section 7.2.4.3: figures 12 to 17 (expedited and segmented transfers, abort). Block transfers are not spoken
-//! here; their commands parse as an error that a server answers with 0504 0001h.
+//! CiA 301, section 7.2.4.3: figures 12 to 17 (expedited and segmented transfers, abort). Block
+//! transfers are not spoken here; their commands parse as an error that a server answers with 0504
+//! 0001h.
 
 mod content;
 

@@ -1,4 +1,5 @@
-//! CiA 402, drives and motion control: the power state machine, its two words, and the modes of operation.
+//! CiA 402, drives and motion control: the power state machine, its two words, and the modes of
+//! operation.
 
 pub mod mode;
 pub mod power;

@@ -90,8 +90,8 @@ impl TryFrom<i8> for Mode {
     }
 }
 
-/// The period that 60C2h says, ns: `value * 10^exponent` seconds; none if it is zero, or no whole number of nanoseconds,
-/// or longer than 255 s.
+/// The period that 60C2h says, ns: `value * 10^exponent` seconds; none if it is zero, or no whole
+/// number of nanoseconds, or longer than 255 s.
 #[must_use]
 pub fn period_ns(value: u8, exponent: i8) -> Option<u64> {
     if value == 0 || !(-9..=0).contains(&exponent) {

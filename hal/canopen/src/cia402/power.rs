@@ -82,8 +82,8 @@ impl PowerState {
     /// fault                                                                       15 sod
     /// ```
     ///
-    /// Enabling operation from ready-to-switch-on passes through switched-on: the control word stays, so its next look
-    /// at it goes on.
+    /// Enabling operation from ready-to-switch-on passes through switched-on: the control word
+    /// stays, so its next look at it goes on.
     #[must_use]
     pub const fn next(self, event: Event) -> Self {
         match self {
@@ -176,8 +176,8 @@ impl PowerState {
         )
     }
 
-    /// What a master says next to bring a drive in this state to operation enabled, one confirmed state at a time; none
-    /// where only a fault reset, or waiting, helps.
+    /// What a master says next to bring a drive in this state to operation enabled, one confirmed
+    /// state at a time; none where only a fault reset, or waiting, helps.
     #[must_use]
     pub const fn towards_enabled(self) -> Option<Command> {
         match self {
@@ -189,8 +189,9 @@ impl PowerState {
         }
     }
 
-    /// What a master says next to take a drive in this state down to switch-on disabled, one confirmed state at a time: operation
-    /// disabled (0007h), shut down (0006h), no voltage (0000h).
+    /// What a master says next to take a drive in this state down to switch-on disabled, one
+    /// confirmed state at a time: operation disabled (0007h), shut down (0006h), no voltage
+    /// (0000h).
     #[must_use]
     pub const fn towards_disabled(self) -> Command {
         match self {

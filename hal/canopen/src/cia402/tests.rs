@@ -145,7 +145,8 @@ fn every_status_word_parses_to_what_returns_or_to_an_error() {
             assert_eq!(Status::parse(status.emit()), Ok(status));
         }
     }
-    // Four states of the 64 patterns of the six state bits with bit 5 open, four with it fixed: 12 of 64.
+    // Four states of the 64 patterns of the six state bits with bit 5 open, four with it fixed: 12
+    // of 64.
     assert_eq!(parsed, 65_536 * 12 / 64);
     for state in PowerState::ALL {
         let status = Status {

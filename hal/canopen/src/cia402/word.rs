@@ -1,6 +1,7 @@
 //! The control word and the status word.
 //!
-//! CiA 402-2: tables 27 and 28 (control word, command coding), tables 31 and 32 (status word, state coding).
+//! CiA 402-2: tables 27 and 28 (control word, command coding), tables 31 and 32 (status word, state
+//! coding).
 
 use super::{Command, PowerState};
 use crate::WireError;
@@ -15,7 +16,8 @@ impl ControlView {
         self.0 >> bit & 1 == 1
     }
 
-    /// The command in bits 0 to 3. Bits that a command leaves open are not looked at, so each pattern is one of the five.
+    /// The command in bits 0 to 3. Bits that a command leaves open are not looked at, so each
+    /// pattern is one of the five.
     #[must_use]
     pub const fn command(self) -> Command {
         let (on, voltage, quick_stop_off, enable) =

@@ -1,7 +1,8 @@
 //! Which SYNC an axis' newest answer belongs to. Hot path: bounded, no allocation.
 //!
-//! Process data carry no sequence number. After a missing answer the next one may be the missing one, late, and so may all that follow. A
-//! pause, a period without a SYNC, tells: what comes in it was late, and if nothing comes the answers are in step again.
+//! Process data carry no sequence number. After a missing answer the next one may be the missing
+//! one, late, and so may all that follow. A pause, a period without a SYNC, tells: what comes in it
+//! was late, and if nothing comes the answers are in step again.
 
 /// What the newest period says of the answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,7 +18,8 @@ pub(super) enum Answers {
 }
 
 impl Answers {
-    /// After a period that began with a SYNC, in which so many answers of any kind came, and a usable one or not.
+    /// After a period that began with a SYNC, in which so many answers of any kind came, and a
+    /// usable one or not.
     pub(super) const fn after_cycle(self, count: u32, usable: bool) -> Self {
         match (usable, count, self) {
             (false, ..) => Self::Missing,

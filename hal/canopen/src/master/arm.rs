@@ -13,18 +13,22 @@ use hal::{Arm, ArmCommand, ArmError, ArmState, JOINT_COUNT, SafeTail, TimeNs};
 /// Most periods of a stop that are made up for at once.
 const CATCH_UP_MAX: u64 = 1000;
 
-/// How long drives may take to stop and to lose their torque, ns, and cycles of set-points for it meanwhile.
+/// How long drives may take to stop and to lose their torque, ns, and cycles of set-points for it
+/// meanwhile.
 const TAKE_DOWN_NS: u64 = 300_000_000;
 const TAKE_DOWN_CYCLES: u64 = 20;
 
 /// Seven drives on one to three buses.
 ///
-/// Everything is exchanged in one place, the [`Arm::read`] in which a SYNC is due: it takes what has come, sends the set-points that
-/// the newest [`Arm::write`] left and then the SYNC that puts them into effect. The answers to it are what is read from the next SYNC
-/// on, so a measurement is one cycle old. Who knows when that read comes may let the set-points leave as soon as they are there, by
-/// [`CanArm::send_before`]; then nothing stands before the SYNC, whose answers otherwise come later by the set-points' time on the bus. A
-/// cycle without a new command is one of the tail. A controller may be faster than the bus by a whole factor; between two SYNCs it reads
-/// the same measurement again, since half of the answers would have to be guessed. After a [`Fault`] the drives stop, and nothing enables them again but a new [`Offline`](super::Offline).
+/// Everything is exchanged in one place, the [`Arm::read`] in which a SYNC is due: it takes what
+/// has come, sends the set-points that the newest [`Arm::write`] left and then the SYNC that puts
+/// them into effect. The answers to it are what is read from the next SYNC on, so a measurement is
+/// one cycle old. Who knows when that read comes may let the set-points leave as soon as they are
+/// there, by [`CanArm::send_before`]; then nothing stands before the SYNC, whose answers otherwise
+/// come later by the set-points' time on the bus. A cycle without a new command is one of the tail.
+/// A controller may be faster than the bus by a whole factor; between two SYNCs it reads the same
+/// measurement again, since half of the answers would have to be guessed. After a [`Fault`] the
+/// drives stop, and nothing enables them again but a new [`Offline`](super::Offline).
 #[derive(Debug)]
 pub struct CanArm<B> {
     bus: B,
@@ -98,7 +102,8 @@ impl<B: Bus> CanArm<B> {
         self.cycle.is_enabled()
     }
 
-    /// Ends a cycle and begins the next one: judges, stands in for a silent controller, and sends SYNC.
+    /// Ends a cycle and begins the next one: judges, stands in for a silent controller, and sends
+    /// SYNC.
     pub(super) fn turn(&mut self, now: TimeNs) {
         self.receive(now);
         self.cycle.judge(now);
@@ -106,8 +111,8 @@ impl<B: Bus> CanArm<B> {
         let written = u64::from(core::mem::take(&mut self.written));
         self.play(now, self.cycle.cycles_since_sync(now) - written);
         let sent = core::mem::take(&mut self.sent);
-        // Without a SYNC no set-point takes effect, not even one that is a quick stop. On a bus that had no room for all, it is
-        // the one that must find some.
+        // Without a SYNC no set-point takes effect, not even one that is a quick stop. On a bus
+        // that had no room for all, it is the one that must find some.
         for line in 0..self.plan.lines {
             if !sent && !self.cycle.is_transmit_queue_full(line) {
                 self.send_set_points(line, now);
@@ -133,8 +138,8 @@ impl<B: Bus> CanArm<B> {
         }
     }
 
-    /// Sends the set-points of the newest command, if a SYNC is due at the next read, `next`: of a controller that is faster than the bus
-    /// only the newest command before a SYNC is sent.
+    /// Sends the set-points of the newest command, if a SYNC is due at the next read, `next`: of a
+    /// controller that is faster than the bus only the newest command before a SYNC is sent.
     pub fn send_before(&mut self, next: TimeNs) {
         if self.written && !self.sent && self.cycle.is_due(next) {
             for line in 0..self.plan.lines {
@@ -156,7 +161,8 @@ impl<B: Bus> CanArm<B> {
         }
     }
 
-    /// The tail's set-points for `periods` without a command, of which the last one counts. It may let go, never enable.
+    /// The tail's set-points for `periods` without a command, of which the last one counts. It may
+    /// let go, never enable.
     fn play(&mut self, now: TimeNs, periods: u64) {
         for _ in 0..periods.min(CATCH_UP_MAX) {
             if let Some(command) = self.player.next_period() {
@@ -211,10 +217,11 @@ impl<B: Bus> CanArm<B> {
         self.transmit(line);
     }
 
-    /// Takes the drives down, an exchange of the cycle that is due at `now`: operation disabled (0007h), after the brake's time shut down
-    /// (0006h), no voltage (0000h), each state confirmed by the drive. Tells whether every drive that is heard is down; to be called once a
-    /// control period until it is, or [`Self::take_down_ns`] have passed, and [`Self::shut_down`] thereafter. After a fault the drives stop
-    /// first, as in every cycle after it.
+    /// Takes the drives down, an exchange of the cycle that is due at `now`: operation disabled
+    /// (0007h), after the brake's time shut down (0006h), no voltage (0000h), each state confirmed
+    /// by the drive. Tells whether every drive that is heard is down; to be called once a control
+    /// period until it is, or [`Self::take_down_ns`] have passed, and [`Self::shut_down`]
+    /// thereafter. After a fault the drives stop first, as in every cycle after it.
     pub fn take_down(&mut self, now: TimeNs) -> bool {
         self.cycle.set_goal(now, Goal::Disabled);
         if self.cycle.is_due(now) {
@@ -225,8 +232,9 @@ impl<B: Bus> CanArm<B> {
         self.cycle.is_down()
     }
 
-    /// How long [`Self::take_down`] may take: the longest stop of a drive, its brake, and a few cycles for each state; after a fault also
-    /// how long a drive holds before it loses its voltage.
+    /// How long [`Self::take_down`] may take: the longest stop of a drive, its brake, and a few
+    /// cycles for each state; after a fault also how long a drive holds before it loses its
+    /// voltage.
     #[must_use]
     pub fn take_down_ns(&self) -> u64 {
         let hold_ns = self.fault().map_or(0, |_| HOLD_NS);

@@ -46,8 +46,8 @@ impl fmt::Display for Rejected {
 /// How one axis has been heard.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisHealth {
-    /// Periods by which the SYNC that the newest usable answer belongs to may lie back; 0 when it is the newest one's, and came
-    /// in time.
+    /// Periods by which the SYNC that the newest usable answer belongs to may lie back; 0 when it
+    /// is the newest one's, and came in time.
     pub age_cycles: u32,
     /// Cycles without a usable answer, ever.
     pub missed: u64,
@@ -95,8 +95,8 @@ pub(super) struct Axis {
     silent: u32,
     /// Weight of the answers that were not in time, less those that were.
     unsteadiness: u32,
-    /// The newest answer of an earlier cycle and when it was measured: what this cycle's answers are held against, so that
-    /// many in one cycle lead no further than one.
+    /// The newest answer of an earlier cycle and when it was measured: what this cycle's answers
+    /// are held against, so that many in one cycle lead no further than one.
     before: Option<(Feedback, TimeNs)>,
 }
 
@@ -165,7 +165,8 @@ impl Axis {
         }
     }
 
-    /// Refuses places that the axis cannot have reached, with half again its greatest speed and a little for rounding.
+    /// Refuses places that the axis cannot have reached, with half again its greatest speed and a
+    /// little for rounding.
     fn believe(
         &self,
         plan: &AxisPlan,
@@ -184,8 +185,8 @@ impl Axis {
         }
     }
 
-    /// Ends a period that began with a SYNC. More answers than SYNCs were outstanding weigh like one that is missing: they hide
-    /// which SYNC the others belong to.
+    /// Ends a period that began with a SYNC. More answers than SYNCs were outstanding weigh like
+    /// one that is missing: they hide which SYNC the others belong to.
     pub(super) fn end_cycle(&mut self) {
         let count = core::mem::take(&mut self.count);
         let usable = core::mem::take(&mut self.usable);
@@ -273,8 +274,8 @@ impl Axis {
         self.silent
     }
 
-    /// How many cycles in a row without an answer in time would weigh as much as those that there were, less those with one:
-    /// it grows while these are fewer than three in four.
+    /// How many cycles in a row without an answer in time would weigh as much as those that there
+    /// were, less those with one: it grows while these are fewer than three in four.
     pub(super) const fn unsteady_cycles(&self) -> u32 {
         self.unsteadiness / MISS_WEIGHT
     }
@@ -286,8 +287,8 @@ impl Axis {
         Some(f64::from(newest.position) + ahead)
     }
 
-    /// Whether its brake may still be closing, for which its drive, which has been switched on without operation since `idle`, or has
-    /// just become so, stays switched on.
+    /// Whether its brake may still be closing, for which its drive, which has been switched on
+    /// without operation since `idle`, or has just become so, stays switched on.
     pub(super) fn brakes(&self, now: TimeNs, brake_ns: u64) -> bool {
         now.since(self.idle.unwrap_or(now)) < brake_ns
     }

@@ -1,7 +1,8 @@
 //! The way from silent buses to an enabled arm, a type a step: each has only the next one.
 //!
-//! [`Offline::scan`] → [`Scanned::check_identity`] → [`Identified::map`] → [`Mapped::home`] → [`Homed::enable`] →
-//! [`CanArm`]. Whatever goes wrong ends the bring-up with the node and the cause; nothing is retried.
+//! [`Offline::scan`] → [`Scanned::check_identity`] → [`Identified::map`] → [`Mapped::home`] →
+//! [`Homed::enable`] → [`CanArm`]. Whatever goes wrong ends the bring-up with the node and the
+//! cause; nothing is retried.
 
 mod check;
 pub mod client;
@@ -88,7 +89,8 @@ impl<B: Bus> Offline<B> {
     /// An arm on `bus`.
     ///
     /// # Errors
-    /// [`BringUpError::Overload`] if a bus cannot carry its part of the plan; nothing has been said then.
+    /// [`BringUpError::Overload`] if a bus cannot carry its part of the plan; nothing has been said
+    /// then.
     pub fn new(bus: B, plan: &ArmPlan) -> Result<Self, BringUpError> {
         plan.check_load()?;
         Ok(Self {
@@ -97,15 +99,16 @@ impl<B: Bus> Offline<B> {
         })
     }
 
-    /// Tells `steps` what bring-up is at, from setting up the first node on until all is done but the SYNC: a slow bus takes its time.
+    /// Tells `steps` what bring-up is at, from setting up the first node on until all is done but
+    /// the SYNC: a slow bus takes its time.
     #[must_use]
     pub fn telling(mut self, steps: Sender<Step>) -> Self {
         self.bus.steps = Some(steps);
         self
     }
 
-    /// Asks `cancelled`, while an axis moves to its home position, whether it is to stop: homing then ends with
-    /// [`BringUpError::Cancelled`], by a quick stop.
+    /// Asks `cancelled`, while an axis moves to its home position, whether it is to stop: homing
+    /// then ends with [`BringUpError::Cancelled`], by a quick stop.
     #[must_use]
     pub fn cancelled_by(mut self, cancelled: fn() -> bool) -> Self {
         self.bus.cancelled = Some(cancelled);
@@ -115,8 +118,8 @@ impl<B: Bus> Offline<B> {
     /// Listens for another master, then resets every node of the plan and waits for it to boot up.
     ///
     /// # Errors
-    /// [`BringUpError`]; a node that is missing is named, and so is what another master said. He is listened for in all that
-    /// follows, too.
+    /// [`BringUpError`]; a node that is missing is named, and so is what another master said. He is
+    /// listened for in all that follows, too.
     pub fn scan(mut self) -> Result<Scanned<B>, BringUpError> {
         let plan = self.plan;
         let before = self.bus.catch_up();
@@ -232,12 +235,15 @@ impl<B: Bus> Identified<B> {
 }
 
 impl<B: Bus> Mapped<B> {
-    /// Gives every axis its reference: where its absolute encoder says that it is, or where the homing sequence of its drive finds it.
+    /// Gives every axis its reference: where its absolute encoder says that it is, or where the
+    /// homing sequence of its drive finds it.
     ///
-    /// Drives are enabled for it and let go again. No axis moves but those that the plan has a homing sequence for.
+    /// Drives are enabled for it and let go again. No axis moves but those that the plan has a
+    /// homing sequence for.
     ///
     /// # Errors
-    /// [`BringUpError::Homing`], [`BringUpError::HomingError`] or [`BringUpError::HomingTimeOut`] with the node.
+    /// [`BringUpError::Homing`], [`BringUpError::HomingError`] or [`BringUpError::HomingTimeOut`]
+    /// with the node.
     pub fn home(mut self) -> Result<Homed<B>, BringUpError> {
         let homes = homing::home_all(&mut self.bus, &self.plan)?;
         self.bus.enter(Step::Waiting)?;
@@ -252,21 +258,24 @@ impl<B: Bus> Homed<B> {
         &mut self.bus.bus
     }
 
-    /// Hears what has come: to be called all the time while another arm on the same bus is brought up, of whose frames a socket
-    /// keeps a few hundred and drops the rest, those of this arm's nodes with them.
+    /// Hears what has come: to be called all the time while another arm on the same bus is brought
+    /// up, of whose frames a socket keeps a few hundred and drops the rest, those of this arm's
+    /// nodes with them.
     ///
     /// # Errors
-    /// What may not have happened to an arm that waits: another master, a node that booted up again or sent an emergency. All nodes
-    /// of this arm are stopped then.
+    /// What may not have happened to an arm that waits: another master, a node that booted up again
+    /// or sent an emergency. All nodes of this arm are stopped then.
     pub fn listen(&mut self) -> Result<(), BringUpError> {
         self.bus.drain()
     }
 
-    /// Asks every drive once more, starts the SYNC, and enables all drives in the same cycle, each where it is.
+    /// Asks every drive once more, starts the SYNC, and enables all drives in the same cycle, each
+    /// where it is.
     ///
     /// # Errors
-    /// [`BringUpError::Unsound`] or [`BringUpError::Forgotten`] for a drive that is no more as it was set up,
-    /// [`BringUpError::Fault`] if one fails meanwhile; it and the others then have no torque.
+    /// [`BringUpError::Unsound`] or [`BringUpError::Forgotten`] for a drive that is no more as it
+    /// was set up, [`BringUpError::Fault`] if one fails meanwhile; it and the others then have no
+    /// torque.
     ///
     /// # Panics
     /// Never: one arm comes of one.

@@ -1,4 +1,5 @@
-//! `config/can.toml`: arms, nodes and buses, checked once, and the plans and drives that follow from it.
+//! `config/can.toml`: arms, nodes and buses, checked once, and the plans and drives that follow
+//! from it.
 
 use core::f64::consts::TAU;
 
@@ -287,7 +288,8 @@ fn homing_sequences(
     Ok(sequences)
 }
 
-/// Whether a homing method (CiA 402-2, clause 10) moves the axis; negative ones are the manufacturer's.
+/// Whether a homing method (CiA 402-2, clause 10) moves the axis; negative ones are the
+/// manufacturer's.
 const fn moves(method: i8) -> bool {
     matches!(method, i8::MIN..=-1 | 1..=14 | 17..=30 | 33 | 34)
 }
@@ -304,7 +306,8 @@ fn space_of(source: &Source, file: &File) -> Result<Space, ConfigError> {
     }
 }
 
-/// The axes of a patient-side manipulator with these `motors` in `space`, with counts of its own encoders.
+/// The axes of a patient-side manipulator with these `motors` in `space`, with counts of its own
+/// encoders.
 fn template(
     motors: &[Actuator; TAIL_AXES],
     space: Space,
@@ -338,7 +341,8 @@ fn template(
     }))
 }
 
-/// The encoder counts of a motor turn as 608Fh has them. They are the manipulator's and not the file's.
+/// The encoder counts of a motor turn as 608Fh has them. They are the manipulator's and not the
+/// file's.
 fn counts_per_turn(axis: usize, counts: f64) -> Result<u32, ConfigError> {
     u32::try_from(whole(counts))
         .ok()
@@ -350,7 +354,8 @@ fn counts_per_turn(axis: usize, counts: f64) -> Result<u32, ConfigError> {
         })
 }
 
-/// Least and greatest value of each axis over the box of joints from `low` to `high`: a linear map has them at corners.
+/// Least and greatest value of each axis over the box of joints from `low` to `high`: a linear map
+/// has them at corners.
 fn extremes(space: Space, low: &Axes, high: &Axes) -> (Axes, Axes) {
     let (mut least, mut most) = ([f64::INFINITY; TAIL_AXES], [f64::NEG_INFINITY; TAIL_AXES]);
     for corner in 0..1_u32 << TAIL_AXES {

@@ -20,7 +20,8 @@ use hal::tail::TAIL_AXES;
 pub const LOST_AFTER: u32 = 3;
 /// Cycles in a row without an answer that are a fault.
 pub const SILENT_AFTER: u32 = 20;
-/// Cycles without an answer in time that are a fault even if each is made up for by less than three that are.
+/// Cycles without an answer in time that are a fault even if each is made up for by less than three
+/// that are.
 pub const UNSTEADY_AFTER: u32 = 30;
 /// Cycles in a row without room to send from which on the arm counts as lost.
 pub const UNSENT_LOST_AFTER: u32 = 2;
@@ -47,7 +48,8 @@ pub enum Goal {
 /// How the buses have been.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LineHealth {
-    /// Whether our controller has left it, or its interface is gone: nothing is sent to it any more.
+    /// Whether our controller has left it, or its interface is gone: nothing is sent to it any
+    /// more.
     pub off: bool,
     /// Whether our controller is error passive.
     pub passive: bool,
@@ -180,7 +182,8 @@ impl Cycle {
         })
     }
 
-    /// Whether every drive has said that it is down, and none is silent: a silent one may have torque.
+    /// Whether every drive has said that it is down, and none is silent: a silent one may have
+    /// torque.
     #[must_use]
     pub fn is_confirmed_down(&self) -> bool {
         let all_answer = self
@@ -231,8 +234,9 @@ impl Cycle {
         self.goal
     }
 
-    /// Takes set-points in the drives' units for `stamp`; tells whether they can be gone to. If one is not finite, or
-    /// further than twice the axis's greatest speed would bring it, none is taken.
+    /// Takes set-points in the drives' units for `stamp`; tells whether they can be gone to. If one
+    /// is not finite, or further than twice the axis's greatest speed would bring it, none is
+    /// taken.
     pub fn set_targets(&mut self, stamp: TimeNs, units: &Axes) -> bool {
         let gap_ns = self.commanded.map_or(0, |before| stamp.since(before));
         let gap_s = seconds(gap_ns.max(self.plan.cycle_ns));

@@ -109,8 +109,9 @@ impl Fault {
     }
 }
 
-/// Whether a drive may say `code` before there is a SYNC: that it is well, or that it misses what only the SYNC brings. Homing
-/// gives it SYNCs and set-points as fast as it answers, and no heartbeat.
+/// Whether a drive may say `code` before there is a SYNC: that it is well, or that it misses what
+/// only the SYNC brings. Homing gives it SYNCs and set-points as fast as it answers, and no
+/// heartbeat.
 pub(super) const fn is_harmless(code: ErrorCode) -> bool {
     matches!(
         code,

@@ -36,8 +36,8 @@ pub trait Bus {
     /// What time it is.
     fn now(&self) -> TimeNs;
 
-    /// Hands `frames` to the controller of `line`, without waiting; gives how many it took. Fewer than all means that its
-    /// queue is full.
+    /// Hands `frames` to the controller of `line`, without waiting; gives how many it took. Fewer
+    /// than all means that its queue is full.
     fn send(&mut self, line: u8, frames: &[Frame]) -> usize;
 
     /// Hands everything that has come on `line` to `sink`, oldest first, without waiting.

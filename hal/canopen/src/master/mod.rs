@@ -1,12 +1,14 @@
-//! The master of an arm: it finds its drives, brings them to where they may be enabled, and sends SYNC.
+//! The master of an arm: it finds its drives, brings them to where they may be enabled, and sends
+//! SYNC.
 //!
-//! [`plan`] says which node drives what, [`config`] reads it from `config/can.toml`. [`bringup`] is the way to an enabled arm,
-//! a type a step; [`cycle`] is what happens between two SYNCs, without clock or socket; [`arm`] makes a
-//! [`hal::Arm`] of it. [`link`] is the interface to the buses.
+//! [`plan`] says which node drives what, [`config`] reads it from `config/can.toml`. [`bringup`] is
+//! the way to an enabled arm, a type a step; [`cycle`] is what happens between two SYNCs, without
+//! clock or socket; [`arm`] makes a [`hal::Arm`] of it. [`link`] is the interface to the buses.
 //!
-//! What the master does about what can go wrong. "Lost" means that [`CanArm`] reports a lost measurement,
-//! whereupon the controller plays its verified stop; "fault" means that every drive that still receives set-points gets a quick stop,
-//! half a second later disable voltage, and that nothing but a new bring-up leads out of it.
+//! What the master does about what can go wrong. "Lost" means that [`CanArm`] reports a lost
+//! measurement, whereupon the controller plays its verified stop; "fault" means that every drive
+//! that still receives set-points gets a quick stop, half a second later disable voltage, and that
+//! nothing but a new bring-up leads out of it.
 //!
 //! ```text
 //! what                                     noticed by                      reaction
@@ -43,25 +45,31 @@
 //! own process dead                         the drives' own watchdogs       they stop by themselves
 //! ```
 //!
-//! A PDO does not say which SYNC it answers, so one that is always late by a cycle looks like the next cycle's. But
-//! a node that becomes late, or is so from the first SYNC on, misses a cycle. From then on a TPDO is taken, but may be as old as
-//! the first SYNC without one; and the next SYNC is left out, over which drives interpolate. What comes meanwhile was late; if more may
-//! come, up to two more SYNCs are left out. Then TPDOs and SYNCs are in phase again. A late TPDO is known as such if it comes
-//! within four cycles of its SYNC and TPDOs are about equally late: where that varies by cycles from one to the next, one may
-//! be up to three cycles older than it is reported to be. Once a fault is latched every SYNC is sent.
+//! A PDO does not say which SYNC it answers, so one that is always late by a cycle looks like the
+//! next cycle's. But a node that becomes late, or is so from the first SYNC on, misses a cycle.
+//! From then on a TPDO is taken, but may be as old as the first SYNC without one; and the next SYNC
+//! is left out, over which drives interpolate. What comes meanwhile was late; if more may come, up
+//! to two more SYNCs are left out. Then TPDOs and SYNCs are in phase again. A late TPDO is known as
+//! such if it comes within four cycles of its SYNC and TPDOs are about equally late: where that
+//! varies by cycles from one to the next, one may be up to three cycles older than it is reported
+//! to be. Once a fault is latched every SYNC is sent.
 //!
-//! What goes before a quick stop. A bus has one queue, the kernel's and then the controller's, in which nothing overtakes and
-//! from which nothing is called back. Set-points, SYNCs and heartbeats are all that is in it when a drive is commanded: transfers of
-//! objects end with bring-up, each answered or given up, and NMT stops come only after a fault, behind a SYNC. What finds no room
-//! is forgotten; the next cycle's frames are made anew, from what is known then. So what goes before a quick stop is what the
-//! queue already held: no more frames than it has places, which are better few (a cycle has up to 16, with NMT stops). Of a
-//! part that finds room the SYNC is the first, then NMT stops, then the set-points of drives that still follow, and of these the
-//! ones that were sent least often: each is sent once before one is sent twice. None is said again before the SYNC, though that
-//! would mostly save a period: how much room there is is unknown, and where it takes the place of the SYNC all wait for the next.
+//! What goes before a quick stop. A bus has one queue, the kernel's and then the controller's, in
+//! which nothing overtakes and from which nothing is called back. Set-points, SYNCs and heartbeats
+//! are all that is in it when a drive is commanded: transfers of objects end with bring-up, each
+//! answered or given up, and NMT stops come only after a fault, behind a SYNC. What finds no room
+//! is forgotten; the next cycle's frames are made anew, from what is known then. So what goes
+//! before a quick stop is what the queue already held: no more frames than it has places, which are
+//! better few (a cycle has up to 16, with NMT stops). Of a part that finds room the SYNC is the
+//! first, then NMT stops, then the set-points of drives that still follow, and of these the ones
+//! that were sent least often: each is sent once before one is sent twice. None is said again
+//! before the SYNC, though that would mostly save a period: how much room there is is unknown, and
+//! where it takes the place of the SYNC all wait for the next.
 //!
-//! The head of that queue, too, waits while others have a frame with a lower identifier. TPDOs (181h and up) win arbitration over
-//! set-points (201h and up), so on a bus that another node's SYNCs fill with TPDOs a quick stop waits for as long as they do.
-//! What stops the drives then is NMT stop (000h), once the frames before it are out, and at the latest their own watchdogs.
+//! The head of that queue, too, waits while others have a frame with a lower identifier. TPDOs
+//! (181h and up) win arbitration over set-points (201h and up), so on a bus that another node's
+//! SYNCs fill with TPDOs a quick stop waits for as long as they do. What stops the drives then is
+//! NMT stop (000h), once the frames before it are out, and at the latest their own watchdogs.
 
 mod answers;
 pub mod arm;

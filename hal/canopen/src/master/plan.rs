@@ -40,7 +40,8 @@ pub struct AxisPlan {
     pub counts_per_unit: f64,
     /// Counts a turn of the motor, 608Fh: CiA 402 has the motor's greatest speed in turns a minute.
     pub counts_per_turn: u32,
-    /// Where it may be sent, least and greatest, units; no further than the mechanical stops, see [`Self::settings`].
+    /// Where it may be sent, least and greatest, units; no further than the mechanical stops, see
+    /// [`Self::settings`].
     pub range: (f64, f64),
     /// Greatest speed that is believed of it, units/s.
     pub speed_max: f64,
@@ -50,7 +51,8 @@ pub struct AxisPlan {
     pub torque_rated: f64,
 }
 
-/// A homing sequence of a drive, in which it moves its axis: CiA 402-2, clause 10. Units are those of the axis.
+/// A homing sequence of a drive, in which it moves its axis: CiA 402-2, clause 10. Units are those
+/// of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HomingPlan {
     /// The axis.
@@ -69,8 +71,8 @@ pub struct HomingPlan {
     pub time_out_ns: u64,
 }
 
-/// The limits that a drive keeps by itself, in counts of its encoder: bring-up writes them, and emulated drives have them from
-/// the beginning.
+/// The limits that a drive keeps by itself, in counts of its encoder: bring-up writes them, and
+/// emulated drives have them from the beginning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AxisSettings {
     /// Least and greatest position, counts; 607Dh.
@@ -100,20 +102,24 @@ pub struct ArmPlan {
     pub master: NodeId,
     /// Time between two heartbeats, of master and drives, ms.
     pub heartbeat_ms: u16,
-    /// How long a drive's brake takes to close: for so long it stays switched on when it is taken down, ns.
+    /// How long a drive's brake takes to close: for so long it stays switched on when it is taken
+    /// down, ns.
     pub brake_ns: u64,
     /// What the drives' positions mean.
     pub space: Space,
     /// Joints in order and the jaw, or actuators in order.
     pub axes: [AxisPlan; TAIL_AXES],
-    /// Axes that move for their homing, one after the other in this order. All others have absolute encoders.
+    /// Axes that move for their homing, one after the other in this order. All others have absolute
+    /// encoders.
     pub homing: [Option<HomingPlan>; TAIL_AXES],
 }
 
 impl AxisPlan {
-    /// What its drive has to keep by itself: its range and a tenth more than its speed, so that the master's own limit comes first. A range
-    /// ends at the last count before the mechanical stops, but the jaw's begins below its own, where the fingers meet, by what presses them
-    /// together; in actuator space it holds every point of the joints' ranges, and so of two coupled axes some points that lie beyond a stop.
+    /// What its drive has to keep by itself: its range and a tenth more than its speed, so that the
+    /// master's own limit comes first. A range ends at the last count before the mechanical stops,
+    /// but the jaw's begins below its own, where the fingers meet, by what presses them together;
+    /// in actuator space it holds every point of the joints' ranges, and so of two coupled axes
+    /// some points that lie beyond a stop.
     #[must_use]
     pub fn settings(&self) -> AxisSettings {
         let speed = 1.1 * self.speed_max;
@@ -134,15 +140,17 @@ impl AxisPlan {
         self.magnitude(self.speed_max)
     }
 
-    /// Least and greatest value that the motor's greatest speed may have in a drive, turns a minute: no less than the axis
-    /// needs, and what [`Self::settings`] allow, to the next whole turn.
+    /// Least and greatest value that the motor's greatest speed may have in a drive, turns a
+    /// minute: no less than the axis needs, and what [`Self::settings`] allow, to the next whole
+    /// turn.
     #[must_use]
     pub fn turns_min(&self) -> (i64, i64) {
         let whole = |counts_s: u32| turns_a_minute(counts_s, self.counts_per_turn);
         (whole(self.speed_counts()), whole(self.settings().speed_max))
     }
 
-    /// The least and the greatest count within its range: the nearest counts may lie beyond its ends, which are mechanical stops.
+    /// The least and the greatest count within its range: the nearest counts may lie beyond its
+    /// ends, which are mechanical stops.
     #[must_use]
     pub fn range_counts(&self) -> (i32, i32) {
         let (a, b) = (
@@ -158,7 +166,8 @@ impl AxisPlan {
         whole_i32(units * self.counts_per_unit)
     }
 
-    /// A speed or an acceleration without a sign, counts/s or counts/s²; at least 1, which CiA 402 takes for the slowest.
+    /// A speed or an acceleration without a sign, counts/s or counts/s²; at least 1, which CiA 402
+    /// takes for the slowest.
     #[must_use]
     pub fn rate_counts(&self, units: f64) -> u32 {
         self.magnitude(units).max(1)

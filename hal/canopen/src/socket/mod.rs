@@ -1,8 +1,10 @@
-//! Buses that are interfaces of Linux: raw CAN sockets, in batches, without waiting. Hot path: bounded, no allocation.
+//! Buses that are interfaces of Linux: raw CAN sockets, in batches, without waiting. Hot path:
+//! bounded, no allocation.
 //!
-//! Error frames are enabled, so the controller's errors are reported; a socket that was too slow tells how many frames it
-//! missed. What waits in an interface's queue is the kernel's: it throws it away when the controller leaves the bus, and
-//! nothing here can call it back, so after bus-off the master says nothing more on that line.
+//! Error frames are enabled, so the controller's errors are reported; a socket that was too slow
+//! tells how many frames it missed. What waits in an interface's queue is the kernel's: it throws
+//! it away when the controller leaves the bus, and nothing here can call it back, so after bus-off
+//! the master says nothing more on that line.
 
 mod sys;
 
@@ -16,7 +18,8 @@ use super::{CanId, Frame, Payload};
 use hal::TimeNs;
 use sys::{BATCH, RawFrame};
 
-/// Most batches that one call takes: more than any bus brings in a cycle. What is left waits for the next call.
+/// Most batches that one call takes: more than any bus brings in a cycle. What is left waits for
+/// the next call.
 const BATCHES_MAX: usize = 32;
 
 /// The time, and how to wait for it. Only the real-time driver has a clock, so it lends one.
@@ -75,8 +78,8 @@ impl<C: Clock> SocketBus<C> {
 }
 
 impl<C: Clock> SocketBus<C> {
-    /// Waits until something has come on any line, for `timeout_ns` of the system's time at most; `false` if a line is in
-    /// trouble, for which no waiting helps.
+    /// Waits until something has come on any line, for `timeout_ns` of the system's time at most;
+    /// `false` if a line is in trouble, for which no waiting helps.
     pub fn wait_for_frames(&mut self, timeout_ns: u64) -> bool {
         sys::wait_readable(self.lines.iter().map(|line| &line.socket), timeout_ns)
     }
@@ -120,7 +123,8 @@ impl Line {
         sent
     }
 
-    /// Reports the frames that the kernel dropped since it last said how many; `missed` is its count since the socket was opened.
+    /// Reports the frames that the kernel dropped since it last said how many; `missed` is its
+    /// count since the socket was opened.
     fn tell_lost(&mut self, missed: Option<u32>, sink: &mut dyn FnMut(Received)) {
         let missed = missed.unwrap_or(self.missed);
         let lost = missed.wrapping_sub(self.missed);

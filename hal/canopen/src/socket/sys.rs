@@ -71,13 +71,14 @@ fn point(
     count
 }
 
-/// Sends up to [`BATCH`] frames without waiting; gives how many the kernel took, of which none means a full queue.
+/// Sends up to [`BATCH`] frames without waiting; gives how many the kernel took, of which none
+/// means a full queue.
 pub(super) fn send(socket: &CanSocket, frames: &mut [RawFrame]) -> io::Result<usize> {
     let mut vectors = [NO_VECTOR; BATCH];
     let mut headers = [no_header(); BATCH];
     let count = point(frames, &mut vectors, &mut headers);
-    // SAFETY: the first `count` headers point at vectors, and these at frames, that live in this function or are borrowed
-    // by it; the kernel only reads the frames.
+    // SAFETY: the first `count` headers point at vectors, and these at frames, that live in this
+    // function or are borrowed by it; the kernel only reads the frames.
     let sent = unsafe {
         libc::sendmmsg(
             socket.as_raw_fd(),
@@ -102,8 +103,8 @@ fn is_full(error: &io::Error) -> bool {
     )
 }
 
-/// Receives up to [`BATCH`] frames without waiting; gives how many, and how many this socket has missed so far if the
-/// kernel says so.
+/// Receives up to [`BATCH`] frames without waiting; gives how many, and how many this socket has
+/// missed so far if the kernel says so.
 pub(super) fn receive(
     socket: &CanSocket,
     frames: &mut [RawFrame; BATCH],
@@ -116,8 +117,9 @@ pub(super) fn receive(
         header.msg_hdr.msg_control = ptr::from_mut(control).cast();
         header.msg_hdr.msg_controllen = size_of::<Control>();
     }
-    // SAFETY: every header points at a vector, a frame and a control buffer that live in this function or are borrowed by
-    // it mutably, with their true lengths; without a time limit the last pointer may be null. Any bytes are a `RawFrame`.
+    // SAFETY: every header points at a vector, a frame and a control buffer that live in this
+    // function or are borrowed by it mutably, with their true lengths; without a time limit the
+    // last pointer may be null. Any bytes are a `RawFrame`.
     let received = unsafe {
         libc::recvmmsg(
             socket.as_raw_fd(),
@@ -143,7 +145,8 @@ pub(super) fn receive(
 /// Sockets that can be waited for at once.
 const WAITED_MAX: usize = 8;
 
-/// Waits until one of `sockets` has something to read, for `timeout_ns` at most; `false` if one is in trouble.
+/// Waits until one of `sockets` has something to read, for `timeout_ns` at most; `false` if one is
+/// in trouble.
 pub(super) fn wait_readable<'a>(
     sockets: impl Iterator<Item = &'a CanSocket>,
     timeout_ns: u64,
@@ -161,8 +164,8 @@ pub(super) fn wait_readable<'a>(
         tv_sec: libc::time_t::try_from(timeout_ns / 1_000_000_000).unwrap_or(libc::time_t::MAX),
         tv_nsec: libc::c_long::try_from(timeout_ns % 1_000_000_000).unwrap_or(0),
     };
-    // SAFETY: `waited` and `timeout` are live; entries with a negative descriptor are passed over, and without a signal
-    // mask the last pointer may be null.
+    // SAFETY: `waited` and `timeout` are live; entries with a negative descriptor are passed over,
+    // and without a signal mask the last pointer may be null.
     unsafe {
         libc::ppoll(
             waited.as_mut_ptr(),
@@ -175,7 +178,8 @@ pub(super) fn wait_readable<'a>(
     waited.iter().all(|place| place.revents & bad == 0)
 }
 
-/// The count in a control message of `SO_RXQ_OVFL`: header of length, level and type, then four bytes.
+/// The count in a control message of `SO_RXQ_OVFL`: header of length, level and type, then four
+/// bytes.
 fn missed_count(control: &Control, length: usize) -> Option<u32> {
     let [_, kind, value, _] = control.map(u64::to_ne_bytes);
     let [l0, l1, l2, l3, t0, t1, t2, t3] = kind;

@@ -136,7 +136,8 @@ fn limits(entry: &Entry) -> String {
     }
 }
 
-/// The lines of one entry (CiA 306): name, type, access, limits, default and whether it can be mapped.
+/// The lines of one entry (CiA 306): name, type, access, limits, default and whether it can be
+/// mapped.
 fn value(entry: &Entry) -> String {
     let access = match (entry.access, entry.mapping) {
         (Access::ReadOnly, _) => "ro",

@@ -1,7 +1,9 @@
-//! The object dictionary of an emulated drive: every value that a client can read or write over the bus.
+//! The object dictionary of an emulated drive: every value that a client can read or write over the
+//! bus.
 //!
-//! [`table`] lists the objects, [`trocar_canopen::index`] names those that the node itself uses, [`eds`] writes them down as an
-//! electronic data sheet. What depends on the node's state (a mapping that may not change now) is the node's to refuse.
+//! [`table`] lists the objects, [`trocar_canopen::index`] names those that the node itself uses,
+//! [`eds`] writes them down as an electronic data sheet. What depends on the node's state (a
+//! mapping that may not change now) is the node's to refuse.
 
 pub mod eds;
 pub mod object;
@@ -18,7 +20,8 @@ pub struct Dictionary {
     cells: Vec<Cell>,
 }
 
-/// A sub-index with its present value. `low` and `high` bound numbers; `preset` is what a reset restores.
+/// A sub-index with its present value. `low` and `high` bound numbers; `preset` is what a reset
+/// restores.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
     address: Address,
@@ -67,7 +70,8 @@ impl Dictionary {
         Self { cells }
     }
 
-    /// Where the sub-index is among the cells, which are sorted. 0602 0000h if there is no such object, 0609 0011h if no such sub-index.
+    /// Where the sub-index is among the cells, which are sorted. 0602 0000h if there is no such
+    /// object, 0609 0011h if no such sub-index.
     fn position(&self, address: Address) -> Result<usize, AbortCode> {
         self.cells
             .binary_search_by_key(&address, |cell| cell.address)
@@ -102,10 +106,12 @@ impl Dictionary {
         })
     }
 
-    /// The number that a client's `data` would write to `address`; none for a text, which may hold anything.
+    /// The number that a client's `data` would write to `address`; none for a text, which may hold
+    /// anything.
     ///
     /// # Errors
-    /// The code to abort with: no such object, a read-only one, another length, or a value out of its range.
+    /// The code to abort with: no such object, a read-only one, another length, or a value out of
+    /// its range.
     pub fn check(&self, address: Address, data: &[u8]) -> Result<Option<i64>, AbortCode> {
         let cell = &self.cells[self.position(address)?];
         if matches!(cell.access, Access::ReadOnly | Access::Constant) {
@@ -142,7 +148,8 @@ impl Dictionary {
         Ok(())
     }
 
-    /// The number at `address`, 0 if there is none. For the node itself: access rights do not apply.
+    /// The number at `address`, 0 if there is none. For the node itself: access rights do not
+    /// apply.
     #[must_use]
     pub fn get(&self, address: Address) -> i64 {
         match self.position(address).map(|place| self.cells[place].value) {
@@ -174,7 +181,8 @@ impl Dictionary {
         }
     }
 
-    /// Narrows what may be written to `address`, and takes `preset` for its value now and after a reset.
+    /// Narrows what may be written to `address`, and takes `preset` for its value now and after a
+    /// reset.
     pub fn restrict(&mut self, address: Address, low: i64, high: i64, preset: i64) {
         if let Ok(place) = self.position(address) {
             let cell = &mut self.cells[place];

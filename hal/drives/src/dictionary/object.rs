@@ -1,6 +1,7 @@
 //! What an object is: type, access, range and preset of each of its values.
 //!
-//! CiA 301: table 44 (data types), table 42 (object codes), table 43 (access); CiA 306 for their spelling in a data sheet.
+//! CiA 301: table 44 (data types), table 42 (object codes), table 43 (access); CiA 306 for their
+//! spelling in a data sheet.
 
 use trocar_canopen::bytes::Bytes;
 use trocar_canopen::cia301::{AbortCode, Address};

@@ -1,7 +1,7 @@
 //! The objects of the emulated drive.
 //!
-//! CiA 301, table 47 ff. (1000h to 1FFFh) and CiA 402-2, table 6 ff. (6000h to 67FFh). What has no effect in this drive
-//! is not in the table.
+//! CiA 301, table 47 ff. (1000h to 1FFFh) and CiA 402-2, table 6 ff. (6000h to 67FFh). What has no
+//! effect in this drive is not in the table.
 
 mod communication;
 mod drive;
@@ -19,7 +19,8 @@ pub const MAPPED_MAX: u8 = 8;
 pub const HISTORY_LENGTH: u8 = 8;
 /// Heartbeats that a node can watch.
 pub const CONSUMER_COUNT: u8 = 4;
-/// Homing methods: the present position is the reference; the negative limit switch, the positive one.
+/// Homing methods: the present position is the reference; the negative limit switch, the positive
+/// one.
 pub const HOMING_METHODS: [i64; 4] = [37, 35, 17, 18];
 /// Product code of the emulated drive: "TROC".
 pub const PRODUCT_CODE: u32 = 0x5452_4F43;

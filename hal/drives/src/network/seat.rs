@@ -14,7 +14,8 @@ pub(super) struct Seat {
 }
 
 impl<M: Motor> Network<M> {
-    /// Puts another master on every bus, with queues of `queue` frames; gives its number. The first one is 0.
+    /// Puts another master on every bus, with queues of `queue` frames; gives its number. The first
+    /// one is 0.
     pub fn add_master(&mut self, queue: usize) -> usize {
         let number = self.lines.first().map_or(0, |line| line.masters.len());
         for line in &mut self.lines {
@@ -57,8 +58,8 @@ impl<M: Motor> Network<M> {
         }
     }
 
-    /// When everything that drives want to say now will have been said, if nothing else comes from the first master; none if
-    /// there is nothing.
+    /// When everything that drives want to say now will have been said, if nothing else comes from
+    /// the first master; none if there is nothing.
     #[must_use]
     pub fn silent_at(&self) -> Option<TimeNs> {
         let lines = self.lines.iter();

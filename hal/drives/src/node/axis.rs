@@ -22,8 +22,8 @@ pub struct AxisConfig {
     pub decelerations: (u32, u32),
     /// Following error window, counts.
     pub following_window: u32,
-    /// Whether leaving operational for pre-operational counts as a lost connection, too. CiA 402-2 has 6007h act when NMT
-    /// stopped is entered, and says nothing of pre-operational.
+    /// Whether leaving operational for pre-operational counts as a lost connection, too. CiA 402-2
+    /// has 6007h act when NMT stopped is entered, and says nothing of pre-operational.
     pub stops_in_pre_operational: bool,
 }
 
@@ -87,7 +87,8 @@ impl AxisConfig {
         dictionary.restrict(index::FOLLOWING_WINDOW, 0, window, window);
     }
 
-    /// Presets and bounds of 6084h and 6085h, counts/s²: no gentler than a tenth, or a stop would take too long.
+    /// Presets and bounds of 6084h and 6085h, counts/s²: no gentler than a tenth, or a stop would
+    /// take too long.
     fn apply_decelerations(&self, dictionary: &mut Dictionary) {
         let (ramp, quick) = self.decelerations;
         for (address, value) in [

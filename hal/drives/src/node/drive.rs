@@ -1,7 +1,8 @@
-//! The drive behind the communication: power states, set-points, stops, homing, and its own watch over the motor.
+//! The drive behind the communication: power states, set-points, stops, homing, and its own watch
+//! over the motor.
 //!
-//! CiA 402-2, clauses 8 (power), 12 (cyclic synchronous position), 10 (homing), and the option codes 6007h and 605Ah to
-//! 605Eh.
+//! CiA 402-2, clauses 8 (power), 12 (cyclic synchronous position), 10 (homing), and the option
+//! codes 6007h and 605Ah to 605Eh.
 
 mod control;
 mod follow;
@@ -162,7 +163,8 @@ impl Drive {
         };
     }
 
-    /// What the motor is to do at `now`: position, counts of the encoder; velocity, counts/s; torque limit, per mille.
+    /// What the motor is to do at `now`: position, counts of the encoder; velocity, counts/s;
+    /// torque limit, per mille.
     pub(super) fn demand(&self, now: TimeNs, dictionary: &Dictionary) -> Demand {
         let torque = self.state.has_torque();
         let (position, velocity) = self.motion.at(now);
@@ -202,7 +204,8 @@ impl Drive {
         self.search(now, dictionary);
     }
 
-    /// Whether the motor, too, has come to rest, or has had its time for it: without torque it would only coast.
+    /// Whether the motor, too, has come to rest, or has had its time for it: without torque it
+    /// would only coast.
     fn motor_rests(&mut self, now: TimeNs, dictionary: &Dictionary) -> bool {
         let since = *self.lags_since.get_or_insert(now);
         let speed = self.feedback.velocity_counts_s.abs();

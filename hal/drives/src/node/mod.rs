@@ -1,9 +1,10 @@
 //! An emulated CiA 402 drive: a state machine that eats frames and instants and gives frames.
 //!
-//! It knows no socket and no clock. [`Node::on_frame`] takes what the bus brings, [`Node::on_time`] lets time pass (call it
-//! at least every millisecond), and both put what the node says into an [`Outbox`]. Between them, [`Node::feedback`] tells
-//! where the motor is and [`Node::demand`] where it should be. Whatever comes over the bus, the demand stays inside the
-//! axis's range and below its greatest speed.
+//! It knows no socket and no clock. [`Node::on_frame`] takes what the bus brings, [`Node::on_time`]
+//! lets time pass (call it at least every millisecond), and both put what the node says into an
+//! [`Outbox`]. Between them, [`Node::feedback`] tells where the motor is and [`Node::demand`] where
+//! it should be. Whatever comes over the bus, the demand stays inside the axis's range and below
+//! its greatest speed.
 
 mod alarm;
 mod axis;
@@ -95,7 +96,8 @@ impl Node {
         self.drive.state()
     }
 
-    /// When the newest SYNC came, if one has come since the node became operational or stopped being so.
+    /// When the newest SYNC came, if one has come since the node became operational or stopped
+    /// being so.
     #[must_use]
     pub const fn newest_sync(&self) -> Option<TimeNs> {
         self.watches.newest_sync()
@@ -149,7 +151,8 @@ impl Node {
             | Cob::SdoRequest(_)
             | Cob::Other(_) => {}
         }
-        // Where the dictionary says which identifier it is, that counts and not the default meaning.
+        // Where the dictionary says which identifier it is, that counts and not the default
+        // meaning.
         if self.state != NmtState::Stopped && Some(frame.id) == self.sync_id() {
             self.on_sync(now, frame.data(), out);
         }
@@ -203,7 +206,8 @@ impl Node {
         }
     }
 
-    /// Enters an NMT state. Timers and process data start anew; an axis without process data stops as 6007h says.
+    /// Enters an NMT state. Timers and process data start anew; an axis without process data stops
+    /// as 6007h says.
     fn enter(&mut self, now: TimeNs, state: NmtState) {
         if state == self.state {
             return;

@@ -11,8 +11,8 @@ pub(super) enum Motion {
         /// Where.
         position: f64,
     },
-    /// To a set-point within an interpolation period. Without a new one the line goes on for another period and then
-    /// ends in a ramp.
+    /// To a set-point within an interpolation period. Without a new one the line goes on for
+    /// another period and then ends in a ramp.
     Line {
         /// Since when.
         start: TimeNs,

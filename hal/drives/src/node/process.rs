@@ -95,7 +95,8 @@ impl Node {
         }
     }
 
-    /// Whether an RPDO of `length` bits has the `bits` that its mapping wants; raises and resolves the alarms of its length.
+    /// Whether an RPDO of `length` bits has the `bits` that its mapping wants; raises and resolves
+    /// the alarms of its length.
     fn is_long_enough(&mut self, now: TimeNs, length: u32, bits: u32, out: &mut Outbox) -> bool {
         if length < bits {
             self.alarm(now, Alarm::PdoLength, out);
@@ -120,7 +121,8 @@ impl Node {
         entries
     }
 
-    /// Puts the values of the RPDO `number` where its mapping says, the control word last: it acts on the others.
+    /// Puts the values of the RPDO `number` where its mapping says, the control word last: it acts
+    /// on the others.
     fn unpack(&mut self, now: TimeNs, number: u8, payload: &Payload, out: &mut Outbox) {
         let mut control = None;
         let mut rest = payload.as_slice();
@@ -190,7 +192,8 @@ impl Node {
         }
     }
 
-    /// Event-driven TPDOs: on a change, not before the inhibit time, and after the event time in any case.
+    /// Event-driven TPDOs: on a change, not before the inhibit time, and after the event time in
+    /// any case.
     pub(super) fn send_events(&mut self, now: TimeNs, out: &mut Outbox) {
         for n in 0..4_u8 {
             let Some((cob, kind)) = parameters(&self.dictionary, |sub| index::tpdo(n, sub)) else {

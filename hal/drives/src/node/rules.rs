@@ -1,6 +1,7 @@
 //! What may be written when, and what a write sets off.
 //!
-//! CiA 301, section 7.5.2: the procedures for changing 1005h, 1014h, 1016h, 1019h and the PDO records.
+//! CiA 301, section 7.5.2: the procedures for changing 1005h, 1014h, 1016h, 1019h and the PDO
+//! records.
 
 use super::watch::consumer;
 use super::{Node, Outbox};
@@ -20,8 +21,9 @@ const LOAD: i64 = 0x6461_6F6C;
 const SYNC_PRODUCER: i64 = 1 << 30;
 /// Bit 31 of a COB-ID: not in use.
 const INVALID: i64 = 1 << 31;
-/// Bits of a COB-ID that may change only while it is not in use: 0 to 29. Bit 30 of a TPDO (no remote frames) may at any time, and means nothing
-/// here, where frames are none of these: Lely's dcfgen writes it clear.
+/// Bits of a COB-ID that may change only while it is not in use: 0 to 29. Bit 30 of a TPDO (no
+/// remote frames) may at any time, and means nothing here, where frames are none of these: Lely's
+/// dcfgen writes it clear.
 const IDENTIFIER: i64 = 0x3FFF_FFFF;
 
 impl Node {
@@ -54,7 +56,8 @@ impl Node {
         Ok(())
     }
 
-    /// Whether `number` may be written now: what depends on other objects or on the state, beyond the object's own limits.
+    /// Whether `number` may be written now: what depends on other objects or on the state, beyond
+    /// the object's own limits.
     fn allowed(&self, address: Address, number: i64) -> Result<(), AbortCode> {
         let need = |fine: bool, code: AbortCode| if fine { Ok(()) } else { Err(code) };
         match (address.index, address.sub) {
@@ -124,7 +127,8 @@ impl Node {
         }
     }
 
-    /// A COB-ID may change only while its valid bit (31) says "invalid": the write before has set it, not the one that changes.
+    /// A COB-ID may change only while its valid bit (31) says "invalid": the write before has set
+    /// it, not the one that changes.
     fn unchanged_while_valid(&self, address: Address, number: i64) -> Result<(), AbortCode> {
         let old = self.dictionary.get(address);
         if old & INVALID == 0 && old & IDENTIFIER != number & IDENTIFIER {
@@ -133,7 +137,8 @@ impl Node {
         Ok(())
     }
 
-    /// Communication parameters of a PDO: inhibit time and SYNC start value only while it is not valid.
+    /// Communication parameters of a PDO: inhibit time and SYNC start value only while it is not
+    /// valid.
     fn communication(&self, address: Address, sub: u8, number: i64) -> Result<(), AbortCode> {
         let cob = Address::new(address.index, 1);
         let valid = self.dictionary.get(cob) & INVALID == 0;
@@ -148,7 +153,8 @@ impl Node {
         }
     }
 
-    /// A mapping may change only while its PDO is not valid and it has no entries (sub-index 0 is 0), as CiA 301 says.
+    /// A mapping may change only while its PDO is not valid and it has no entries (sub-index 0 is
+    /// 0), as CiA 301 says.
     fn mapping(
         &self,
         record: u16,
@@ -244,7 +250,8 @@ fn transmission(number: i64) -> Result<(), AbortCode> {
     }
 }
 
-/// Whether a COB-ID has eleven bits and, if it is valid, is none that CiA 301 keeps for other services.
+/// Whether a COB-ID has eleven bits and, if it is valid, is none that CiA 301 keeps for other
+/// services.
 fn identifier(number: i64) -> Result<(), AbortCode> {
     let cob = u32::try_from(number)
         .ok()

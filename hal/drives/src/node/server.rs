@@ -140,7 +140,8 @@ impl Node {
         Response::UploadSegment(segment)
     }
 
-    /// Stores an expedited value. Without a size, all four bytes came and the object says how many it wants.
+    /// Stores an expedited value. Without a size, all four bytes came and the object says how many
+    /// it wants.
     fn download_expedited(
         &mut self,
         now: TimeNs,

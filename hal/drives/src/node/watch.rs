@@ -1,7 +1,7 @@
 //! What a node does by the clock: its own heartbeat, and the watch over those that lead it.
 //!
-//! CiA 301: 1016h and 1017h (heartbeats), 1400h:05 (deadline of an RPDO), 1029h (error behaviour). The watch over the SYNC
-//! is the vendor's: after 2000h periods without one the axis stops.
+//! CiA 301: 1016h and 1017h (heartbeats), 1400h:05 (deadline of an RPDO), 1029h (error behaviour).
+//! The watch over the SYNC is the vendor's: after 2000h periods without one the axis stops.
 
 use super::alarm::Alarm;
 use super::{Node, Outbox};

@@ -1,5 +1,5 @@
-//! `.ci/with-vcan --direct`: a command on interfaces of its own, where the kernel has vcan. So it has here, in whatever way we came
-//! by it.
+//! `.ci/with-vcan --direct`: a command on interfaces of its own, where the kernel has vcan. So it
+//! has here, in whatever way we came by it.
 
 use std::process::{Command, Output};
 

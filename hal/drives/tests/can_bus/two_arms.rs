@@ -32,7 +32,8 @@ fn homed(plan: &ArmPlan) -> Ready {
     mapped.home().unwrap()
 }
 
-/// Brings up the second arm while the first listens, and what the first heard; then another node sends `said`.
+/// Brings up the second arm while the first listens, and what the first heard; then another node
+/// sends `said`.
 fn brought_up(said: Option<(u16, &[u8])>) -> (Result<(), BringUpError>, [Ready; 2]) {
     let [first, second] = plans();
     let mut waiting = homed(&first);

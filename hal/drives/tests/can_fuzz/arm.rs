@@ -12,7 +12,8 @@ use crate::noisy::Noisy;
 use crate::promises::{Stamped, SyncPeriod, SyncPeriods, stop_ns};
 use crate::seen::Seen;
 
-/// Cycles for which an arm is watched after it has come to rest, or after everything has happened to it.
+/// Cycles for which an arm is watched after it has come to rest, or after everything has happened
+/// to it.
 const CYCLES_AFTER: u64 = 20;
 
 /// What came of many lives.

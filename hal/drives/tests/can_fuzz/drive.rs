@@ -245,7 +245,8 @@ impl Bench {
         let is = self.node.power_state();
         self.check_answers()?;
         self.check_motion(&before, step.then_ns, tally)?;
-        // Nothing but a control word gives it torque; a fault is left by a control word or a reset, and never by waiting.
+        // Nothing but a control word gives it torque; a fault is left by a control word or a reset,
+        // and never by waiting.
         let gains = is.has_torque() && !was.has_torque();
         let asked = self.control().command() == Command::EnableOperation;
         must(!gains || asked, || {

@@ -8,12 +8,13 @@ use trocar_canopen::{CanId, Frame, Payload};
 /// What kind of frames an arm meets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mood {
-    /// As `Meaning` but for those that only this arm's master may send and those that say that a drive has failed, so that the
-    /// arm lives on among them.
+    /// As `Meaning` but for those that only this arm's master may send and those that say that a
+    /// drive has failed, so that the arm lives on among them.
     Bystander,
     /// What drives say, in their name: answers, heartbeats, emergencies.
     Drives,
-    /// Identifiers that mean something to these drives and this master, with bytes that half make sense.
+    /// Identifiers that mean something to these drives and this master, with bytes that half make
+    /// sense.
     Meaning,
     /// Any identifier, any bytes.
     Anything,
@@ -142,8 +143,8 @@ fn drive() -> BoxedStrategy<Frame> {
 }
 
 fn bystander() -> BoxedStrategy<Frame> {
-    // Reads and their segments of any object, with or without sense; writes are not a bystander's. What is written is
-    // anything, unless it is read.
+    // Reads and their segments of any object, with or without sense; writes are not a bystander's.
+    // What is written is anything, unless it is read.
     let read = (
         node(),
         select(&[0x40, 0x40, 0x60, 0x70, 0x80, 0xA0][..]),

@@ -127,7 +127,8 @@ impl Buses {
         plan
     }
 
-    /// Bursts come so many times slower: where the arm leaves strangers little of the bus they would own it.
+    /// Bursts come so many times slower: where the arm leaves strangers little of the bus they
+    /// would own it.
     pub(crate) const fn slowness(self) -> u32 {
         match self {
             Self::Roomy => 1,

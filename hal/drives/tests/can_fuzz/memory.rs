@@ -23,7 +23,8 @@ fn size(layout: Layout) -> i64 {
 }
 
 #[expect(unsafe_code, reason = "an allocator can't be had without")]
-// SAFETY: every call goes on to the system allocator unchanged; counting touches thread-local cells without destructors.
+// SAFETY: every call goes on to the system allocator unchanged; counting touches thread-local cells
+// without destructors.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         REQUESTS.set(REQUESTS.get() + 1);

@@ -37,7 +37,8 @@ pub(crate) struct Noisy {
     watched: [Watched; 7],
     /// Since when the master knows of a fault.
     latched: Option<TimeNs>,
-    /// SYNCs that the master gave each bus, whether its clock jumped since the newest, and how old what it measured is.
+    /// SYNCs that the master gave each bus, whether its clock jumped since the newest, and how old
+    /// what it measured is.
     syncs: [u64; 3],
     clock_jumped: bool,
     ages: Ages,
@@ -224,7 +225,8 @@ impl Noisy {
         }
     }
 
-    /// A set-point goes to where its axis may be or says that it is; after a fault the master leads nobody.
+    /// A set-point goes to where its axis may be or says that it is; after a fault the master leads
+    /// nobody.
     fn check(&self, frame: &Frame) {
         let mut seen = self.seen.borrow_mut();
         if let Cob::ReceivePdo(PdoNumber::FIRST, node) = Cob::of(frame.id) {

@@ -1,5 +1,5 @@
-//! What the master promises of time: how old its measurements are at most, when its SYNCs come, and that nobody is led by them
-//! after a fault.
+//! What the master promises of time: how old its measurements are at most, when its SYNCs come, and
+//! that nobody is led by them after a fault.
 
 use hal::{ArmState, TICK_NS, TimeNs};
 use trocar_canopen::Frame;
@@ -16,7 +16,8 @@ const MS_NS: u64 = 1_000_000;
 const PERIODS: usize = 64;
 /// Values of a stamp, steps of a motor; one comes again after 15 s.
 const STAMPS: u64 = 30_000;
-/// Periods by which a measurement may be older than it is told to be, and by which an answer may be late for this to hold.
+/// Periods by which a measurement may be older than it is told to be, and by which an answer may be
+/// late for this to hold.
 const OLDER_MAX: u64 = 3;
 const LATE_MAX: u64 = 4;
 /// SYNCs in a row that may be left out.
@@ -50,7 +51,8 @@ impl Motor for Stamped {
 pub(crate) struct Ages {
     began: [TimeNs; PERIODS],
     periods: u64,
-    /// Another node spoke in the drive's name, it lost its power, or its answers came later than can be known.
+    /// Another node spoke in the drive's name, it lost its power, or its answers came later than
+    /// can be known.
     void: [bool; 7],
     pub(crate) checked: u64,
     /// By how much a measurement was older than told, at most.
@@ -78,11 +80,13 @@ impl Ages {
         self.void[axis] = true;
     }
 
-    /// How many periods before the newest one the motor was looked at with `stamp`: no more than it was.
+    /// How many periods before the newest one the motor was looked at with `stamp`: no more than it
+    /// was.
     fn periods_since(&self, stamp: u64, now: TimeNs) -> u64 {
         let steps = now.0 / NODE_STEP_NS + 1;
         let since = (steps + STAMPS - stamp % STAMPS) % STAMPS;
-        // A drive knows of its motor what it was at most a step ago, and the first step was at time zero.
+        // A drive knows of its motor what it was at most a step ago, and the first step was at time
+        // zero.
         let sampled = TimeNs(steps.saturating_sub(since) * NODE_STEP_NS);
         let kept = self.periods.min(PERIODS as u64);
         (0..kept)
@@ -177,8 +181,8 @@ impl SyncPeriod {
 }
 
 impl SyncPeriods {
-    /// Of each period there is a SYNC on every bus that is not lost, or one that is counted as left out, and both when they
-    /// are due. `measured` is what the arm told.
+    /// Of each period there is a SYNC on every bus that is not lost, or one that is counted as left
+    /// out, and both when they are due. `measured` is what the arm told.
     pub(crate) fn check(
         &mut self,
         arm: &mut CanArm<Noisy>,
@@ -275,8 +279,8 @@ pub(crate) fn answers(plan: &ArmPlan, frame: &Frame) -> Option<usize> {
     }
 }
 
-/// How long after a fault, or after a stranger's last word to it, a drive may still move, ns: until it misses its master, and a
-/// quick stop from its greatest speed; a frame may be delayed by 20 ms.
+/// How long after a fault, or after a stranger's last word to it, a drive may still move, ns: until
+/// it misses its master, and a quick stop from its greatest speed; a frame may be delayed by 20 ms.
 pub(crate) const fn stop_ns(plan: &ArmPlan) -> u64 {
     11 * plan.cycle_ns + 46 * MS_NS
 }

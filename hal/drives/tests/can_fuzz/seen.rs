@@ -20,7 +20,8 @@ pub(crate) struct Seen {
     pub(crate) looks: u64,
     /// Motors that had to rest after a fault when they were looked at.
     pub(crate) stills: u64,
-    /// Measurements whose age was looked at, and by how many periods one was older than told at most.
+    /// Measurements whose age was looked at, and by how many periods one was older than told at
+    /// most.
     pub(crate) ages: u64,
     pub(crate) older_max: u64,
     /// Greatest share of its drive's greatest speed that an axis had.

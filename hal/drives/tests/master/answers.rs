@@ -10,7 +10,8 @@ fn disturbed(
     change: impl Fn(&Frame) -> Tampering + 'static,
 ) -> (Bench, Vec<Result<ArmState, ArmError>>) {
     let mut bench = moving();
-    // A heartbeat that holds up a SYNC makes its axis seem slower or faster, and what is bridged goes on at that speed.
+    // A heartbeat that holds up a SYNC makes its axis seem slower or faster, and what is bridged
+    // goes on at that speed.
     let mut speed = || bench.cycle(0.0008).unwrap().velocity[2];
     assert!((0..10).any(|_| (speed() - 0.4).abs() < 1e-6));
     let mut left = count;
@@ -50,7 +51,8 @@ fn third_missing_answer_is_a_lost_measurement() {
     let health = bench.arm.cycle().axis_health()[2];
     assert_eq!((health.missed, health.late, health.age_cycles), (2, 0, 0));
     let (bench, outcomes) = disturbed(3, |_| Tampering::Drop);
-    // After the third cycle, and after the one whose answer may be out of step; then the pause shows that it is not.
+    // After the third cycle, and after the one whose answer may be out of step; then the pause
+    // shows that it is not.
     assert_eq!(lost(&outcomes), 2);
     assert!(outcomes[29].is_ok() && bench.arm.fault().is_none());
 }
@@ -106,7 +108,8 @@ fn late_and_doubled_answers_are_counted() {
     assert_eq!(bench.arm.cycle().axis_health()[2].late, 1);
 }
 
-/// Answers of axis 2 that each come so much later, in periods of the SYNC, from bring-up on or in mid-motion.
+/// Answers of axis 2 that each come so much later, in periods of the SYNC, from bring-up on or in
+/// mid-motion.
 fn tardy(periods: f64) -> impl FnMut(&Frame) -> Tampering {
     let late_ns = trocar_canopen::number::nanoseconds(periods * 0.002);
     move |frame| {

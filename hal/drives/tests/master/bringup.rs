@@ -177,7 +177,8 @@ fn a_drive_that_does_not_become_enabled_ends_the_bring_up() {
     );
 }
 
-/// An arm with its references whose frames are recorded; `replaced` stands for those that it is about.
+/// An arm with its references whose frames are recorded; `replaced` stands for those that it is
+/// about.
 fn recorded(
     mut replaced: impl FnMut(&Frame) -> Option<Frame> + 'static,
 ) -> (Homed<Net>, Rc<RefCell<Vec<Frame>>>) {
@@ -206,7 +207,8 @@ fn reported(frames: &[Frame]) -> [Vec<PowerState>; TAIL_AXES] {
     })
 }
 
-/// A drive that is never enabled: the others, which have torque, are taken down before any node is stopped.
+/// A drive that is never enabled: the others, which have torque, are taken down before any node is
+/// stopped.
 #[test]
 fn failed_enabling_takes_down_the_drives_that_have_torque() {
     let (homed, frames) = recorded(|f| {

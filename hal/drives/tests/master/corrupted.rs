@@ -49,8 +49,8 @@ fn sync_of_wrong_length_is_a_fault() {
     bench.assert_stopped_for_good(&fault.to_string());
 }
 
-/// Flips a bit of the next `count` set-points' target; gives the arm, how far axis 2 was from its way at most and at the end, and how
-/// far it went in a cycle.
+/// Flips a bit of the next `count` set-points' target; gives the arm, how far axis 2 was from its
+/// way at most and at the end, and how far it went in a cycle.
 fn flipped(count: u32, byte: usize, bit: u8) -> (Bench, f64, f64, f64) {
     let mut bench = moving();
     change(&mut bench, 0x203, count, move |frame| {
@@ -82,7 +82,8 @@ fn flipped_target_bit_keeps_the_speed_limit() {
     // The drive's greatest speed, as bring-up has set it.
     let (cycle_s, speed) = (0.002, 2.2);
     for (byte, bit) in [(4, 6), (5, 6), (5, 7)] {
-        // A large one takes the axis along for a cycle, against its own way, and the next set-points bring it back.
+        // A large one takes the axis along for a cycle, against its own way, and the next
+        // set-points bring it back.
         let (bench, off, last, step) = flipped(1, byte, bit);
         assert!(step < speed * cycle_s + 1e-6, "{step} in a cycle");
         assert!(off < 3.0 * speed * cycle_s, "{off}");
@@ -110,8 +111,9 @@ fn a_flipped_bit_in_a_control_word_is_a_fault_or_nothing() {
             Tampering::Replace(super::frame(frame.id.raw(), &data))
         });
         let outcome = bench.cycles(20, 0.0008);
-        // Without voltage or with a quick stop the drive is no longer enabled. The other commands begin a ramp, from which the
-        // next set-point calls it back; the other bits mean nothing to a drive that follows.
+        // Without voltage or with a quick stop the drive is no longer enabled. The other commands
+        // begin a ramp, from which the next set-point calls it back; the other bits mean nothing to
+        // a drive that follows.
         match (bit, bench.arm.fault()) {
             (1..=2, Some(Fault::NotEnabled(who, _))) => {
                 assert_eq!(who.axis, 2, "bit {bit}");
@@ -168,7 +170,8 @@ fn an_emergency_that_says_all_is_well_is_none() {
 #[test]
 fn swapped_answers_are_limited_by_the_axis_speed() {
     let mut bench = moving();
-    // What axis 0 says arrives as what axis 6 says, and the other way round; they are far from each other.
+    // What axis 0 says arrives as what axis 6 says, and the other way round; they are far from each
+    // other.
     bench.tamper(|f| match f.id.raw() {
         0x181 => Tampering::Replace(frame(0x187, f.data())),
         0x187 => Tampering::Replace(frame(0x181, f.data())),

@@ -119,7 +119,8 @@ fn second_master_is_held_by_the_drives_limits() {
         let mut shared = Shared::new(Bench::on(&plan));
         let mut at_end = 0;
         while at_end < 50 {
-            // It enables the drive anew in every cycle, with a SYNC of its own, and leads it on by less than its window.
+            // It enables the drive anew in every cycle, with a SYNC of its own, and leads it on by
+            // less than its window.
             shared.pass(1_800_000);
             let target = whole_i32(shared.before[2] * COUNTS) + way;
             shared.bench.net().intrude(0, frame(0x000, &[0x01, 3]));

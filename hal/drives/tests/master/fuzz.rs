@@ -1,4 +1,5 @@
-//! Arbitrary frames on the bus of an arm: no panic, and the arm stays where it may be and as fast as it may be.
+//! Arbitrary frames on the bus of an arm: no panic, and the arm stays where it may be and as fast
+//! as it may be.
 
 use super::*;
 use trocar_canopen::arbitrary::Random;
@@ -30,6 +31,7 @@ fn throw(seed: u64, cycles: u32) -> u32 {
 #[test]
 fn arbitrary_frames_keep_the_arm_within_its_limits() {
     let lived: u32 = (0..6).map(|seed| throw(seed, 150)).sum();
-    // Most end with a fault sooner or later, since many identifiers are the master's own; some do not at once.
+    // Most end with a fault sooner or later, since many identifiers are the master's own; some do
+    // not at once.
     assert!(lived > 30, "{lived}");
 }

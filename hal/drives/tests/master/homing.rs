@@ -6,7 +6,8 @@ use std::rc::Rc;
 use super::*;
 use trocar_canopen::master::plan::HomingPlan;
 
-/// To the negative limit switch, which is at -5 units by an encoder that reads 0 wherever it was switched on.
+/// To the negative limit switch, which is at -5 units by an encoder that reads 0 wherever it was
+/// switched on.
 fn to_limit_switch(axis: u8) -> HomingPlan {
     HomingPlan {
         axis,
@@ -33,7 +34,8 @@ fn bring_up(net: Net, plan: &ArmPlan) -> Result<Bench, BringUpError> {
     Ok(Bench::of(homed.enable()?, plan))
 }
 
-/// Why the arm does not come up; whether it has torque half a second later, and where its motors have come to, units.
+/// Why the arm does not come up; whether it has torque half a second later, and where its motors
+/// have come to, units.
 fn refused(net: Net, plan: &ArmPlan) -> (String, bool, [f64; TAIL_AXES]) {
     refused_or_cancelled(net, plan, || false)
 }

@@ -230,7 +230,8 @@ impl Bench {
         })
     }
 
-    /// After a fault: the arm reports it, all axes come to rest, lose their torque and never get it back.
+    /// After a fault: the arm reports it, all axes come to rest, lose their torque and never get it
+    /// back.
     fn assert_stopped_for_good(&mut self, fault: &str) {
         assert_eq!(
             self.arm.fault().map(|f| f.to_string()).as_deref(),

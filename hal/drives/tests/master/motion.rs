@@ -11,7 +11,8 @@ fn the_arm_follows_and_the_measurement_is_a_cycle_old() {
         let state = bench.cycles(200, step).unwrap();
         assert_eq!(bench.now.since(state.stamp), plan.cycle_ns);
         for axis in 0..6 {
-            // Commanded in the cycle before the last, in effect from the SYNC on, reached a cycle later.
+            // Commanded in the cycle before the last, in effect from the SYNC on, reached a cycle
+            // later.
             let behind = (bench.position[axis] - state.position[axis]) / step;
             assert!((2.0..4.0).contains(&behind), "{axis}: {behind}");
             // A SYNC may have to wait for a frame that is on the wire: 135 us of a cycle.
@@ -303,7 +304,8 @@ fn take_down_passes_each_state_and_waits_for_the_brake() {
     }
 }
 
-/// A controller that disables its arm in the middle of a run gives brakes their time too, though set-points leave before the SYNC.
+/// A controller that disables its arm in the middle of a run gives brakes their time too, though
+/// set-points leave before the SYNC.
 #[test]
 fn a_disabled_arm_waits_for_its_brakes() {
     let mut plan = plan(1, 2 * MS);

@@ -1,4 +1,5 @@
-//! The limits of position that drives have and bring-up writes, against the mechanical stops of the shipped arms.
+//! The limits of position that drives have and bring-up writes, against the mechanical stops of the
+//! shipped arms.
 
 use super::*;
 use core::f64::consts::TAU;
@@ -24,14 +25,15 @@ fn plus((low, high): Reach, other: Reach) -> Reach {
     (low + other.0, high + other.1)
 }
 
-/// What the axes reach between the stops of their joints, jaw (actuators: two discs that move it) last.
+/// What the axes reach between the stops of their joints, jaw (actuators: two discs that move it)
+/// last.
 fn reach(space: Space, joints: [Reach; TAIL_AXES]) -> [Reach; TAIL_AXES] {
     let [yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw, jaw] = joints;
     if space == Space::Joint {
         return joints;
     }
-    // The rows of the coupling, solved for the discs one after the other. Wrist yaw is half the sum of two discs, and a share of the
-    // wrist's pitch; the jaw is their difference.
+    // The rows of the coupling, solved for the discs one after the other. Wrist yaw is half the sum
+    // of two discs, and a share of the wrist's pitch; the jaw is their difference.
     let disc_1 = times(roll, 1.0 / COUPLING[0][0]);
     let disc_2 = times(wrist_pitch, 1.0 / COUPLING[1][1]);
     let sum = times(
@@ -89,8 +91,9 @@ fn ends(net: &mut Net, plan: &ArmPlan, axis: usize, objects: [Address; 2]) -> Re
     (low, high)
 }
 
-/// 607Bh and 607Dh of every axis of both arms, in joint and in actuator space, before bring-up and after it, lie within the mechanical
-/// stops and end less than a count before them. Only the jaw's begin further down, by what presses closed fingers together.
+/// 607Bh and 607Dh of every axis of both arms, in joint and in actuator space, before bring-up and
+/// after it, lie within the mechanical stops and end less than a count before them. Only the jaw's
+/// begin further down, by what presses closed fingers together.
 #[test]
 fn position_limits_lie_within_the_mechanical_stops() {
     let stops: [Reach; TAIL_AXES] = core::array::from_fn(|n| (STOP_MIN[n], STOP_MAX[n]));

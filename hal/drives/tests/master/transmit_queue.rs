@@ -55,8 +55,9 @@ fn brought_up(plan: &ArmPlan) -> CanArm<Narrow> {
     mapped.home().unwrap().enable().unwrap()
 }
 
-/// Cycles that an arm takes until no drive follows any more, after one of them has failed and since when its queue has taken
-/// `room` frames a cycle. Their own watches would stop the drives after ten at the earliest.
+/// Cycles that an arm takes until no drive follows any more, after one of them has failed and since
+/// when its queue has taken `room` frames a cycle. Their own watches would stop the drives after
+/// ten at the earliest.
 fn cycles_to_stop(room: usize, controller_lives: bool) -> u32 {
     let plan = plan(1, 2 * MS);
     let mut arm = brought_up(&plan);
@@ -103,8 +104,8 @@ fn cycles_to_stop(room: usize, controller_lives: bool) -> u32 {
 #[test]
 fn short_queue_takes_sync_and_quick_stops_first() {
     for controller_lives in [true, false] {
-        // Enough, half of it, and next to nothing: a period for the fault and one for its answer to be heard, and as many as it
-        // takes to tell each of the six once, beside the SYNC.
+        // Enough, half of it, and next to nothing: a period for the fault and one for its answer to
+        // be heard, and as many as it takes to tell each of the six once, beside the SYNC.
         for (room, at_most) in [(16, 3), (6, 4), (4, 4), (3, 5), (2, 8)] {
             let cycles = cycles_to_stop(room, controller_lives);
             assert!(cycles <= at_most, "{room} {controller_lives}: {cycles}");
@@ -137,14 +138,16 @@ fn nodes_without_power_do_not_take_the_room_of_the_others() {
         let ids = all.iter().map(|(_, frame)| frame.id.raw());
         ids.filter(|raw| *raw == id).count()
     };
-    // SYNC in each of the eight cycles but the first, which does not know of the lack of room yet; the set-point for the first
-    // that lives in each, for the second but in the two cycles that tell a silent node to stop.
+    // SYNC in each of the eight cycles but the first, which does not know of the lack of room yet;
+    // the set-point for the first that lives in each, for the second but in the two cycles that
+    // tell a silent node to stop.
     assert_eq!([0x080, 0x203, 0x204].map(said), [7, 8, 6]);
     assert_eq!([0x000, 0x201, 0x202].map(said), [2, 0, 0]);
 }
 
-/// With a silent controller on three buses of which the first has taken `room` frames a cycle for a while, a drive on the last
-/// one fails. What found room in a cycle then, and the cycles until the drives on the second one stop.
+/// With a silent controller on three buses of which the first has taken `room` frames a cycle for a
+/// while, a drive on the last one fails. What found room in a cycle then, and the cycles until the
+/// drives on the second one stop.
 fn on_three_buses(room: usize) -> (Vec<(u8, u16)>, u32) {
     let plan = plan(3, MS);
     let mut arm = brought_up(&plan);
@@ -191,8 +194,9 @@ fn full_bus_sends_its_sync_first() {
     assert_eq!(cycles, at_best);
 }
 
-/// Cycles until each drive is no longer enabled, with a stranger who leads the last node with a SYNC of his own and a queue that
-/// takes `room` frames a cycle, and whom of the nodes we told to stop within 50 cycles.
+/// Cycles until each drive is no longer enabled, with a stranger who leads the last node with a
+/// SYNC of his own and a queue that takes `room` frames a cycle, and whom of the nodes we told to
+/// stop within 50 cycles.
 fn led_by_another(room: usize) -> ([u32; TAIL_AXES], BTreeSet<u8>) {
     let plan = plan(1, 2 * MS);
     let mut arm = brought_up(&plan);
@@ -226,7 +230,8 @@ fn led_by_another(room: usize) -> ([u32; TAIL_AXES], BTreeSet<u8>) {
 /// With a transmit queue nearly full, every node that a second master may command is told to stop.
 #[test]
 fn short_queue_still_carries_every_nmt_stop() {
-    // As many cycles as it takes to tell each of the seven once, beside the SYNC, and three for the first to be heard.
+    // As many cycles as it takes to tell each of the seven once, beside the SYNC, and three for the
+    // first to be heard.
     for (room, at_most) in [(16, 4), (6, 5), (5, 5), (4, 6), (3, 7), (2, 10)] {
         let (rest, told) = led_by_another(room);
         assert_eq!(told, (1..=7).collect(), "{room}");
@@ -260,7 +265,8 @@ fn unsent_set_points_are_no_following_error() {
     }));
     let mut behind: f64 = 0.0;
     for cycle in 0..300 {
-        // In nine of ten cycles there is no room for the last set-point; its drive misses ten in a row.
+        // In nine of ten cycles there is no room for the last set-point; its drive misses ten in a
+        // row.
         bench.arm.bus_mut().room[0] = if cycle % 10 == 0 { 16 } else { 7 };
         bench.cycle(0.001);
         assert_eq!(bench.arm.fault(), None, "{cycle}");

@@ -1,4 +1,5 @@
-//! Two arms on one bus, as the shipped configuration has them: each master hears the other's frames.
+//! Two arms on one bus, as the shipped configuration has them: each master hears the other's
+//! frames.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -21,7 +22,8 @@ fn shipped(cycle: &str) -> CanConfig {
 /// Two arms beside each other, and the drives of both.
 type Shared = Rc<RefCell<Net>>;
 
-/// A master's end of a bus that others use too. What they have to do in the meantime they do while it waits.
+/// A master's end of a bus that others use too. What they have to do in the meantime they do while
+/// it waits.
 struct Seat {
     net: Shared,
     master: usize,

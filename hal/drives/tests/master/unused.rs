@@ -1,5 +1,5 @@
-//! What drives have stored to say and to hear beside the plan: bring-up takes it out of use, so that a bus carries what was
-//! planned.
+//! What drives have stored to say and to hear beside the plan: bring-up takes it out of use, so
+//! that a bus carries what was planned.
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -121,7 +121,8 @@ fn pdo_in_use_keeps_its_identifier() {
     }
 }
 
-/// A TPDO that Lely's dcfgen has set up and stored, with bit 30 clear, becomes the master's, in whichever state it is.
+/// A TPDO that Lely's dcfgen has set up and stored, with bit 30 clear, becomes the master's, in
+/// whichever state it is.
 #[test]
 fn tpdo_stored_with_bit_30_clear_is_taken_over() {
     let plan = plan(1, 2 * MS);
@@ -240,7 +241,8 @@ fn a_bus_carries_what_was_planned_whatever_a_drive_has_stored() {
     let mut put = |address, data: &[u8]| write(scanned.bus_mut(), 0, node(2), address, data);
     let cob = |raw: u32| raw.to_le_bytes();
     for (address, data) in [
-        // Its own set-points under another identifier, and a second way to it under one that is nobody's.
+        // Its own set-points under another identifier, and a second way to it under one that is
+        // nobody's.
         (index::rpdo(0, 1), cob(INVALID | 0x203)),
         (index::rpdo(0, 1), cob(INVALID | 0x345)),
         (index::rpdo(0, 1), cob(0x345)),

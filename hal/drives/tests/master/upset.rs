@@ -1,4 +1,5 @@
-//! What happens to a drive while the arm is brought up: what counts is what happens to it after it was set up.
+//! What happens to a drive while the arm is brought up: what counts is what happens to it after it
+//! was set up.
 
 use super::watched::{NEVER, Outcome, QUESTIONS, bring_up};
 use super::*;
@@ -22,7 +23,8 @@ const WHO: &str = "node 3 (axis 2, bus 0)";
 const REBOOTED: &str = "booted up again";
 const FAILED: &str = "emergency 2310h, continuous over-current";
 
-/// A drive that was set up and is reset or fails ends the bring up with its cause and nothing has torque.
+/// A drive that was set up and is reset or fails ends the bring up with its cause and nothing has
+/// torque.
 #[test]
 fn reset_or_fault_of_a_set_up_drive_ends_the_bring_up() {
     let [_, identified, mapped, homed] = bring_up(1, NEVER, |_| {}).sent;
@@ -155,7 +157,8 @@ fn harmless_emergencies_do_not_end_the_bring_up() {
     assert_eq!(outcome.end, Err(refusal));
 }
 
-/// That there is no SYNC yet is no fault between the start of the nodes and the SYNC and one after it.
+/// That there is no SYNC yet is no fault between the start of the nodes and the SYNC and one after
+/// it.
 #[test]
 fn missing_sync_is_a_fault_after_the_first_sync_only() {
     let started = bring_up(1, NEVER, |_| {}).sent[3] + QUESTIONS;

@@ -1,4 +1,5 @@
-//! How drives are taken from a second master that commands them: by NMT, by a heartbeat that ends, and no drives but our own.
+//! How drives are taken from a second master that commands them: by NMT, by a heartbeat that ends,
+//! and no drives but our own.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -8,7 +9,8 @@ use super::*;
 use trocar_canopen::cia301::emcy::ErrorCode;
 use trocar_canopen::cia402::{Command, ControlView, PowerState};
 
-/// Moving, with drives that keep to CiA 402 by the letter: of the ways out of operational only NMT stopped stops them.
+/// Moving, with drives that keep to CiA 402 by the letter: of the ways out of operational only NMT
+/// stopped stops them.
 fn by_the_letter() -> Bench {
     by_the_letter_on(&plan(1, 4 * MS))
 }
@@ -26,7 +28,8 @@ fn by_the_letter_on(plan: &ArmPlan) -> Bench {
     bench
 }
 
-/// Cycles in which a stranger enables node 3 anew, with a SYNC of its own, and leads it on from where it is.
+/// Cycles in which a stranger enables node 3 anew, with a SYNC of its own, and leads it on from
+/// where it is.
 fn led(bench: &mut Bench, cycles: u32) {
     for _ in 0..cycles {
         let target = bench.motors()[2] * COUNTS + 100.0;

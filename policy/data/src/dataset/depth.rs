@@ -1,4 +1,5 @@
-//! Depth and instance ids of a camera, kept to the bit: 16-bit and 8-bit PNG beside the colour image.
+//! Depth and instance ids of a camera, kept to the bit: 16-bit and 8-bit PNG beside the colour
+//! image.
 
 use std::path::Path;
 

@@ -72,7 +72,8 @@ pub enum DatasetError {
         #[source]
         source: parquet::errors::ParquetError,
     },
-    /// A video that is missing, damaged, or shows no frame when it should; or there is no program to read or write it.
+    /// A video that is missing, damaged, or shows no frame when it should; or there is no program
+    /// to read or write it.
     #[error("{path}: {what}")]
     Video {
         /// The file.

@@ -1,4 +1,5 @@
-//! Any LeRobot dataset of v2.0, v2.1 or v3.0, whatever its features are: columns by name, texts, and frames of its cameras.
+//! Any LeRobot dataset of v2.0, v2.1 or v3.0, whatever its features are: columns by name, texts,
+//! and frames of its cameras.
 
 use std::{
     collections::BTreeMap,
@@ -58,7 +59,8 @@ impl Foreign {
         Ok(info.features.into_iter().map(|(name, _)| name).collect())
     }
 
-    /// Opens the dataset in the folder `dir`; `features` are those of the cameras that will be read.
+    /// Opens the dataset in the folder `dir`; `features` are those of the cameras that will be
+    /// read.
     pub(crate) fn open(dir: &Path, features: &[String]) -> Result<Self, DatasetError> {
         let info = meta::read_info(dir)?;
         let info_path = meta::info_path(dir);
@@ -121,7 +123,8 @@ impl Foreign {
         self.info.splits.keys().cloned().collect()
     }
 
-    /// Whether the split `name`, ranges `a:b` of episodes with commas between them, has the episode.
+    /// Whether the split `name`, ranges `a:b` of episodes with commas between them, has the
+    /// episode.
     ///
     /// # Errors
     /// [`DatasetError::Mismatch`] for a split that is none.
@@ -315,7 +318,8 @@ fn feature<'a>(path: &Path, info: &'a Info, name: &str) -> Result<&'a Feature, D
         })
 }
 
-/// Names as LeRobot's datasets have them: a list, a list in a list, or lists by what they are of (`motors`, `axes`).
+/// Names as LeRobot's datasets have them: a list, a list in a list, or lists by what they are of
+/// (`motors`, `axes`).
 fn collect_names(value: &serde_json::Value, names: &mut Vec<String>) {
     if let Some(text) = value.as_str() {
         names.push(text.to_owned());

@@ -1,4 +1,5 @@
-//! The parquet reader asserts some things of a damaged file instead of refusing it; here that becomes an error.
+//! The parquet reader asserts some things of a damaged file instead of refusing it; here that
+//! becomes an error.
 
 use std::{
     cell::RefCell,

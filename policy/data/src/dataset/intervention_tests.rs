@@ -24,7 +24,8 @@ fn record(writer: &mut DatasetWriter, by_hand: &[bool]) -> Result<(), DatasetErr
     writer.end_episode()
 }
 
-/// Who drove is LeRobot's column of truth values: it comes back, goes on behind a break, and is not there in other datasets.
+/// Who drove is LeRobot's column of truth values: it comes back, goes on behind a break, and is not
+/// there in other datasets.
 #[test]
 fn who_drove_is_kept_and_goes_on() -> Result<(), Box<dyn Error>> {
     let folder = std::env::temp_dir().join(format!("trocar-intervention-{}", std::process::id()));

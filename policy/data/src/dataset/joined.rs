@@ -21,16 +21,17 @@ pub struct Part {
 }
 
 impl Dataset {
-    /// Opens the datasets in the folders `dirs` as one: the episodes of the first, then those of the next. Of all these the first
-    /// `episodes`, or all; `cameras` as in [`Self::open_part`], if they are not named those of the first.
+    /// Opens the datasets in the folders `dirs` as one: the episodes of the first, then those of
+    /// the next. Of all these the first `episodes`, or all; `cameras` as in [`Self::open_part`], if
+    /// they are not named those of the first.
     ///
-    /// They must have the same arms, the same frames a second, and the cameras with the same sizes: all the same ones, or those that
-    /// are named. With `depth` their lenses must be the same too; without, depth is left out where they are not. The task is the
-    /// first's.
+    /// They must have the same arms, the same frames a second, and the cameras with the same sizes:
+    /// all the same ones, or those that are named. With `depth` their lenses must be the same too;
+    /// without, depth is left out where they are not. The task is the first's.
     ///
     /// # Errors
-    /// Those of [`Self::open_part`]; [`DatasetError::Apart`], which names two datasets and what differs; [`DatasetError::Input`] if
-    /// there are no folders, or too few episodes in all.
+    /// Those of [`Self::open_part`]; [`DatasetError::Apart`], which names two datasets and what
+    /// differs; [`DatasetError::Input`] if there are no folders, or too few episodes in all.
     pub fn open_joined(
         dirs: &[PathBuf],
         episodes: Option<usize>,
@@ -111,8 +112,8 @@ fn check_episodes(dirs: &[PathBuf], wanted: Option<usize>) -> Result<usize, Data
     }
 }
 
-/// The cameras to open in `dir`: those that are `named`, which must be there, or those of the `first` dataset, which it must have and
-/// no more.
+/// The cameras to open in `dir`: those that are `named`, which must be there, or those of the
+/// `first` dataset, which it must have and no more.
 fn check_cameras<'a>(
     (first, all): (&Path, &'a [String]),
     dir: &Path,

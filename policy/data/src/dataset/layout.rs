@@ -1,4 +1,5 @@
-//! Where a dataset's episodes lie: the folders of LeRobot v3.0, and those of v2.0 and v2.1, which are only read.
+//! Where a dataset's episodes lie: the folders of LeRobot v3.0, and those of v2.0 and v2.1, which
+//! are only read.
 //!
 //! ```text
 //!        v3.0                                                  v2.1
@@ -52,7 +53,8 @@ pub(super) fn read_episodes(
     Ok(listed)
 }
 
-/// An episode of v2.0 or v2.1, which has files of its own: `len` frames from frame `start` of the dataset on.
+/// An episode of v2.0 or v2.1, which has files of its own: `len` frames from frame `start` of the
+/// dataset on.
 fn alone(dir: &Path, index: usize, [start, len]: [usize; 2], videos: &[String]) -> Listed {
     let chunk = format!("chunk-{:03}", index / CHUNK_SIZE);
     let of_feature = |feature: &String| VideoPlace {

@@ -124,7 +124,8 @@ pub(super) fn write_task(dir: &Path, task: &str) -> Result<(), DatasetError> {
     write_table(&tasks_path(dir), schema::tasks_schema(), columns)
 }
 
-/// The first task of a dataset; its column is named `task`, or as pandas names an index without a name.
+/// The first task of a dataset; its column is named `task`, or as pandas names an index without a
+/// name.
 pub(super) fn read_task(dir: &Path) -> Result<String, DatasetError> {
     let table = Table::open(&tasks_path(dir))?;
     let texts = table
@@ -199,7 +200,8 @@ fn seconds_of(frames: usize, fps: u32) -> f64 {
     frames as f64 / f64::from(fps)
 }
 
-/// The episodes in order, out of every file of the table; `videos` are the features that are kept as video.
+/// The episodes in order, out of every file of the table; `videos` are the features that are kept
+/// as video.
 pub(super) fn read_episodes(dir: &Path, videos: &[String]) -> Result<Vec<Listed>, DatasetError> {
     let mut rows = Vec::new();
     for path in parquet_files(&dir.join("meta/episodes"))? {

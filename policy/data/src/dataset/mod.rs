@@ -1,4 +1,5 @@
-//! Demonstrations on disk, in the LeRobot v3.0 layout: rows and PNG images in parquet, one file an episode.
+//! Demonstrations on disk, in the LeRobot v3.0 layout: rows and PNG images in parquet, one file an
+//! episode.
 //!
 //! ```text
 //! meta/info.json                              format, rate, totals, features; written last, so it is the commit record
@@ -11,18 +12,21 @@
 //! meta/trocar_episodes.jsonl                  how each episode came about, likewise
 //! ```
 //!
-//! Datasets of v2.0 and v2.1 are read too. Video goes through the system's ffmpeg and loses some of the picture; depth and
-//! instance ids are never video.
+//! Datasets of v2.0 and v2.1 are read too. Video goes through the system's ffmpeg and loses some of
+//! the picture; depth and instance ids are never video.
 //!
-//! Of two arms, each vector has the first arm's numbers and then the second's, and every name in it begins with its arm's
-//! (`psm1_yaw`); a single arm's names stand alone. Poses are in each arm's own RCM frame.
+//! Of two arms, each vector has the first arm's numbers and then the second's, and every name in it
+//! begins with its arm's (`psm1_yaw`); a single arm's names stand alone. Poses are in each arm's
+//! own RCM frame.
 //!
-//! A camera that keeps depth has three features more: `observation.depth.NAME`, 16-bit PNG in units of
-//! [`DEPTH_UNIT_M`](crate::perception::DEPTH_UNIT_M); `observation.instance.NAME`, 8-bit PNG; and
-//! `observation.camera_pose.NAME`, where the camera was in the scene. Its lens stands in the depth feature's `info`.
+//! A camera that keeps depth has three features more: `observation.depth.NAME`, 16-bit PNG in units
+//! of [`DEPTH_UNIT_M`](crate::perception::DEPTH_UNIT_M); `observation.instance.NAME`, 8-bit PNG;
+//! and `observation.camera_pose.NAME`, where the camera was in the scene. Its lens stands in the
+//! depth feature's `info`.
 //!
-//! [`DatasetWriter`] records, [`Dataset`] reads, several as one too. A recording that is cut off loses the episode in progress and nothing
-//! else. Every file is replaced by renaming, never written in place. [`DatasetWriter::resume`] goes on with it.
+//! [`DatasetWriter`] records, [`Dataset`] reads, several as one too. A recording that is cut off
+//! loses the episode in progress and nothing else. Every file is replaced by renaming, never
+//! written in place. [`DatasetWriter::resume`] goes on with it.
 
 mod check;
 mod depth;
@@ -72,11 +76,14 @@ pub use writer::{DatasetWriter, Totals};
 
 use hal::Intrinsics;
 
-/// Numbers of one arm in `observation.state`: six joint positions (rad, insertion m) and the jaw angle (rad).
+/// Numbers of one arm in `observation.state`: six joint positions (rad, insertion m) and the jaw
+/// angle (rad).
 pub const STATE_WIDTH: usize = 7;
-/// Numbers of one arm in `observation.tip_pose`: x, y, z (m) and a unit quaternion x, y, z, w, in the RCM frame.
+/// Numbers of one arm in `observation.tip_pose`: x, y, z (m) and a unit quaternion x, y, z, w, in
+/// the RCM frame.
 pub const TIP_POSE_WIDTH: usize = 7;
-/// Numbers of one arm in `action`: the commanded tip pose as in [`TIP_POSE_WIDTH`], then the jaw angle (rad).
+/// Numbers of one arm in `action`: the commanded tip pose as in [`TIP_POSE_WIDTH`], then the jaw
+/// angle (rad).
 pub const ACTION_WIDTH: usize = 8;
 
 /// What a dataset is of.
@@ -124,8 +131,8 @@ pub struct ArmFrame {
     pub state: [f32; STATE_WIDTH],
     /// Measured tip pose in the RCM frame, see [`TIP_POSE_WIDTH`]; stored as `f64`.
     pub tip_pose: [f64; TIP_POSE_WIDTH],
-    /// Commanded tip pose in the RCM frame and jaw, see [`ACTION_WIDTH`]; stored as `f32`, so positions within 0.25 m
-    /// are rounded by at most 8 nm.
+    /// Commanded tip pose in the RCM frame and jaw, see [`ACTION_WIDTH`]; stored as `f32`, so
+    /// positions within 0.25 m are rounded by at most 8 nm.
     pub action: [f64; ACTION_WIDTH],
 }
 

@@ -11,7 +11,8 @@ use super::{
     schema::{DEPTH_PREFIX, INSTANCE_PREFIX, image_feature},
 };
 
-/// One page an image, so that a reader fetches an image without its neighbours; PNG is not compressed again.
+/// One page an image, so that a reader fetches an image without its neighbours; PNG is not
+/// compressed again.
 pub(super) fn data_properties(spec: &DatasetSpec) -> WriterProperties {
     let mut properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)

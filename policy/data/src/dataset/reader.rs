@@ -38,8 +38,9 @@ impl Dataset {
     /// Opens the dataset in the folder `dir` and loads its numbers.
     ///
     /// # Errors
-    /// A [`DatasetError`] that names the file: one that is missing, damaged, cut off, of another version of the format,
-    /// without a column of the right width, or with a number that is not finite.
+    /// A [`DatasetError`] that names the file: one that is missing, damaged, cut off, of another
+    /// version of the format, without a column of the right width, or with a number that is not
+    /// finite.
     pub fn open(dir: &Path) -> Result<Self, DatasetError> {
         Self::open_first(dir, None)
     }
@@ -113,7 +114,8 @@ impl Dataset {
         Ok(dataset)
     }
 
-    /// Names of the cameras of the dataset in the folder `dir`: first the one that its task gives policies of a single camera.
+    /// Names of the cameras of the dataset in the folder `dir`: first the one that its task gives
+    /// policies of a single camera.
     ///
     /// # Errors
     /// A [`DatasetError`] if its description can't be read.
@@ -128,13 +130,15 @@ impl Dataset {
         &self.spec
     }
 
-    /// The name of the simulator's task, if its recording notes one beside an instruction in words; else what LeRobot's `task` says.
+    /// The name of the simulator's task, if its recording notes one beside an instruction in words;
+    /// else what LeRobot's `task` says.
     #[must_use]
     pub fn task(&self) -> &str {
         self.simulated.as_deref().unwrap_or(&self.spec.task)
     }
 
-    /// The datasets that it was [joined](Self::open_joined) from, in their order; itself alone if it was not.
+    /// The datasets that it was [joined](Self::open_joined) from, in their order; itself alone if
+    /// it was not.
     #[must_use]
     pub fn parts(&self) -> &[Part] {
         &self.parts
@@ -176,7 +180,8 @@ impl Dataset {
         self.spec.arms
     }
 
-    /// Measured joint positions (rad, insertion m) and jaw (rad) of an arm in a frame below [`len`](Self::len).
+    /// Measured joint positions (rad, insertion m) and jaw (rad) of an arm in a frame below
+    /// [`len`](Self::len).
     #[must_use]
     #[expect(clippy::cast_possible_truncation, reason = "the column is f32")]
     pub fn state(&self, frame: usize, arm: usize) -> [f32; STATE_WIDTH] {
@@ -212,12 +217,13 @@ impl Dataset {
         [episode, frame - self.episodes[episode].start]
     }
 
-    /// The image of a frame; read from disk and decoded now. Of video some frames around it are decoded too and kept for
-    /// the next call.
+    /// The image of a frame; read from disk and decoded now. Of video some frames around it are
+    /// decoded too and kept for the next call.
     ///
     /// # Errors
-    /// [`DatasetError::Io`], [`DatasetError::Parquet`] or [`DatasetError::Mismatch`] if the data file is damaged or the
-    /// image is of another size; [`DatasetError::Image`] for what is no PNG, [`DatasetError::Video`] for what is no video.
+    /// [`DatasetError::Io`], [`DatasetError::Parquet`] or [`DatasetError::Mismatch`] if the data
+    /// file is damaged or the image is of another size; [`DatasetError::Image`] for what is no PNG,
+    /// [`DatasetError::Video`] for what is no video.
     pub fn image_rgb(&self, frame: usize, camera: usize) -> Result<RgbImage, DatasetError> {
         let CameraSpec {
             name,
@@ -251,13 +257,15 @@ impl Dataset {
     /// Depth, ids and pose of a camera in a frame; read from disk and decoded now.
     ///
     /// # Errors
-    /// [`DatasetError::Missing`] if the camera keeps no depth; else those of [`Dataset::image_rgb`].
+    /// [`DatasetError::Missing`] if the camera keeps no depth; else those of
+    /// [`Dataset::image_rgb`].
     pub fn depth(&self, frame: usize, camera: usize) -> Result<RecordedDepth, DatasetError> {
         let Place { table, row } = self.rows.place[frame];
         depth::read(&self.tables[table], &self.spec.cameras[camera], row)
     }
 
-    /// Whether an operator drove in each frame of an episode, in a dataset that says so: [`DatasetSpec::intervention`].
+    /// Whether an operator drove in each frame of an episode, in a dataset that says so:
+    /// [`DatasetSpec::intervention`].
     ///
     /// # Errors
     /// [`DatasetError::Missing`] if it does not; those of a damaged file.
@@ -270,7 +278,8 @@ impl Dataset {
         Ok(rows.to_vec())
     }
 
-    /// Where a camera that keeps depth was in each frame of an episode, in a dataset with a file an episode.
+    /// Where a camera that keeps depth was in each frame of an episode, in a dataset with a file an
+    /// episode.
     pub(super) fn camera_poses(
         &self,
         episode: Episode,
@@ -303,8 +312,8 @@ impl Dataset {
         Ok(())
     }
 
-    /// Loads the rows of the `episodes` in the file of `table`, of which the first begins with frame `next` of the dataset; the frame
-    /// after them.
+    /// Loads the rows of the `episodes` in the file of `table`, of which the first begins with
+    /// frame `next` of the dataset; the frame after them.
     fn load_file(
         &mut self,
         table: &Table,

@@ -1,4 +1,5 @@
-//! Recordings that are resumed are what they would be without the break, and nothing else is resumed.
+//! Recordings that are resumed are what they would be without the break, and nothing else is
+//! resumed.
 
 use std::{
     collections::BTreeMap,
@@ -42,7 +43,8 @@ const LENS: Intrinsics = Intrinsics {
     distortion: Distortion::NONE,
 };
 
-/// Frames of the episodes: less, more and just as many as between two images that count for the statistics.
+/// Frames of the episodes: less, more and just as many as between two images that count for the
+/// statistics.
 const LENGTHS: [usize; 4] = [5, 23, 1, 11];
 
 fn camera(name: &str, depth: Option<Intrinsics>) -> CameraSpec {
@@ -227,7 +229,8 @@ fn what_a_cut_episode_left_is_dropped() {
     let info = fs::read(meta::info_path(&cut.0)).unwrap();
     add(&mut writer, &spec, 1..3);
     drop(writer);
-    // As if the power had failed before the second episode was counted, and in the middle of other files.
+    // As if the power had failed before the second episode was counted, and in the middle of other
+    // files.
     fs::write(meta::info_path(&cut.0), info).unwrap();
     for name in [
         "data/chunk-000/file-007.parquet.partial",

@@ -1,4 +1,5 @@
-//! The numbers of a dataset's frames, taken out of its data files and checked against the table of episodes.
+//! The numbers of a dataset's frames, taken out of its data files and checked against the table of
+//! episodes.
 
 use std::ops::Range;
 
@@ -103,7 +104,8 @@ fn not_finite<const N: usize>(vectors: &[[f64; N]]) -> Option<(usize, f64)> {
     Some((place / N, value))
 }
 
-/// An episode has to lie where the table of episodes says, and nowhere else: the rows `range` of the file's `indices` of episodes.
+/// An episode has to lie where the table of episodes says, and nowhere else: the rows `range` of
+/// the file's `indices` of episodes.
 pub(super) fn check_episode(
     table: &Table,
     listed: &Listed,

@@ -88,8 +88,8 @@ pub(crate) fn image_feature(camera: &str) -> String {
     format!("{IMAGE_PREFIX}{camera}")
 }
 
-/// The names in a vector of `arms` arms, from those of one: of several, each begins with its arm's, as in LeRobot's bimanual
-/// datasets.
+/// The names in a vector of `arms` arms, from those of one: of several, each begins with its arm's,
+/// as in LeRobot's bimanual datasets.
 fn of_arms(arms: usize, names: &[&str]) -> Vec<String> {
     if arms == 1 {
         return names.iter().map(|&name| name.to_owned()).collect();
@@ -226,8 +226,8 @@ pub(super) fn image_fields() -> arrow_schema::Fields {
 
 /// Schema of `tasks.parquet`: the text is the pandas index.
 ///
-/// pandas looks for its metadata in the Arrow schema; in the parquet footer alone they would be ignored without a word
-/// and every frame would report a number instead of its task.
+/// pandas looks for its metadata in the Arrow schema; in the parquet footer alone they would be
+/// ignored without a word and every frame would report a number instead of its task.
 pub(super) fn tasks_schema() -> Schema {
     let column = |name: &str, pandas: &str, numpy: &str| json!({"name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy, "metadata": null});
     let pandas = json!({
@@ -257,7 +257,8 @@ pub(super) const EPISODE_COLUMNS: [&str; 8] = [
     "meta/episodes/file_index",
 ];
 
-/// Columns of the episodes table about the video of `feature`: two numbers of its file, and the times there (s).
+/// Columns of the episodes table about the video of `feature`: two numbers of its file, and the
+/// times there (s).
 pub(super) fn video_columns(feature: &str) -> [String; 4] {
     let parts = [
         "chunk_index",

@@ -1,4 +1,5 @@
-//! Frames of video for readers that want one after another: pieces are decoded whole and the latest are kept.
+//! Frames of video for readers that want one after another: pieces are decoded whole and the latest
+//! are kept.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -48,9 +49,10 @@ struct VideoFile {
 type Key = (usize, usize, usize);
 
 impl VideoFrames {
-    /// Of the cameras `features` in the `listed` episodes; `kept` are the features that are kept as video, in the order of the
-    /// listing. Looks at every file once: each episode's first and last frame must be shown when the dataset, with `fps` frames a
-    /// second, says so, and there must be as many between them.
+    /// Of the cameras `features` in the `listed` episodes; `kept` are the features that are kept as
+    /// video, in the order of the listing. Looks at every file once: each episode's first and last
+    /// frame must be shown when the dataset, with `fps` frames a second, says so, and there must be
+    /// as many between them.
     pub(super) fn open(
         features: &[String],
         kept: &[String],
@@ -111,7 +113,8 @@ impl VideoFrames {
         self.files.extend(other.files);
     }
 
-    /// A frame of an episode, of `width` by `height` pixels; none if the camera is not kept as video there.
+    /// A frame of an episode, of `width` by `height` pixels; none if the camera is not kept as
+    /// video there.
     pub(super) fn image(
         &self,
         camera: usize,

@@ -89,7 +89,8 @@ impl ImageStats {
         self.image_count += other.image_count;
     }
 
-    /// The summary with values in [0, 1], one number a channel, shaped (3, 1, 1); `None` before the first image.
+    /// The summary with values in [0, 1], one number a channel, shaped (3, 1, 1); `None` before the
+    /// first image.
     pub(crate) fn to_json(&self) -> Option<Value> {
         if self.image_count == 0 {
             return None;

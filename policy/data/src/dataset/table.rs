@@ -126,7 +126,8 @@ impl Table {
         Ok(rows)
     }
 
-    /// A column of numbers or of lists of them, row after row, and how many a row has: those that every row must have.
+    /// A column of numbers or of lists of them, row after row, and how many a row has: those that
+    /// every row must have.
     pub(super) fn numbers(&self, name: &str) -> Result<(usize, Vec<f64>), DatasetError> {
         let mut width = None;
         let mut rows = Vec::new();
@@ -256,7 +257,8 @@ impl Table {
         column.ok_or_else(|| self.mismatch(name, format!("without row {row}"), "one".to_owned()))
     }
 
-    /// The columns of a damaged file may differ in their length: `name` must have as many rows as the others.
+    /// The columns of a damaged file may differ in their length: `name` must have as many rows as
+    /// the others.
     pub(super) fn check_rows(
         &self,
         name: &str,

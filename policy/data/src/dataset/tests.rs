@@ -235,7 +235,8 @@ fn crash_between_data_and_commit_leaves_the_committed_episodes() {
     push(&mut writer, 0).unwrap();
     writer.end_episode().unwrap();
     drop(writer);
-    // As if the power had failed after the table of episodes, and in the middle of another data file.
+    // As if the power had failed after the table of episodes, and in the middle of another data
+    // file.
     fs::write(&info, committed).unwrap();
     fs::write(
         folder.0.join("data/chunk-000/file-004.parquet.partial"),

@@ -1,6 +1,8 @@
-//! Frames out of video files, through the system's ffmpeg and ffprobe (5.1 or newer), each as a process of its own.
+//! Frames out of video files, through the system's ffmpeg and ffprobe (5.1 or newer), each as a
+//! process of its own.
 //!
-//! Nothing is trusted but the frames' own times: a frame is the one that is shown when the dataset says that it is.
+//! Nothing is trusted but the frames' own times: a frame is the one that is shown when the dataset
+//! says that it is.
 
 use std::{
     io::Read,
@@ -110,7 +112,8 @@ impl FrameTimes {
         self.0.len()
     }
 
-    /// `count` frames from frame `first` on as RGB bytes, `width` by `height` each, one after another.
+    /// `count` frames from frame `first` on as RGB bytes, `width` by `height` each, one after
+    /// another.
     pub(super) fn decode(
         &self,
         path: &Path,
@@ -136,8 +139,8 @@ impl FrameTimes {
     }
 }
 
-/// The command that writes `count` frames of the video `path` as raw RGB to its standard output, from the first one shown at `from_s`
-/// or later on.
+/// The command that writes `count` frames of the video `path` as raw RGB to its standard output,
+/// from the first one shown at `from_s` or later on.
 fn decode_raw(path: &Path, from_s: f64, count: usize) -> Command {
     let mut command = program("ffmpeg");
     command.args(["-nostdin", "-threads", "1"]);
@@ -187,7 +190,8 @@ fn output(command: Command, path: &Path, limit: usize) -> Result<Vec<u8>, Datase
     let mut bytes = Vec::new();
     let (read, reason) = std::thread::scope(|scope| {
         let reason = scope.spawn(|| errors.map(reason_in).unwrap_or_default());
-        // One byte more than allowed shows that there is more; then the pipe is closed, and the program ends.
+        // One byte more than allowed shows that there is more; then the pipe is closed, and the
+        // program ends.
         let limit = u64::try_from(limit).unwrap_or(u64::MAX).saturating_add(1);
         let read = out.map_or(Ok(0), |out| out.take(limit).read_to_end(&mut bytes));
         (read, reason.join().unwrap_or_default())
@@ -202,7 +206,8 @@ fn output(command: Command, path: &Path, limit: usize) -> Result<Vec<u8>, Datase
     }
 }
 
-/// The beginning of what a program says, on one line; the rest is read and dropped, so that it does not wait.
+/// The beginning of what a program says, on one line; the rest is read and dropped, so that it does
+/// not wait.
 pub(super) fn reason_in(mut errors: impl Read) -> String {
     let mut text = Vec::new();
     let _cut = errors.by_ref().take(REASON_MAX).read_to_end(&mut text);

@@ -48,7 +48,8 @@ fn spec() -> DatasetSpec {
     }
 }
 
-/// Eight bars, black or white, that spell the frame's number: any two frames differ in at least one bar.
+/// Eight bars, black or white, that spell the frame's number: any two frames differ in at least one
+/// bar.
 fn image(frame: usize, camera: usize) -> Vec<u8> {
     let number = 2 * frame + camera;
     let bar = |x: usize| if number >> (x / 8) & 1 == 1 { 230 } else { 20 };

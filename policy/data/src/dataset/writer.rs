@@ -1,4 +1,5 @@
-//! Recording: frames are kept in memory until their episode ends, then the episode is made durable at once.
+//! Recording: frames are kept in memory until their episode ends, then the episode is made durable
+//! at once.
 
 mod resume;
 
@@ -61,8 +62,8 @@ impl Totals {
 
 /// Records a dataset, an episode at a time.
 ///
-/// After each [`end_episode`](Self::end_episode) the folder is a whole dataset; dropping the writer loses no more than
-/// the frames pushed since.
+/// After each [`end_episode`](Self::end_episode) the folder is a whole dataset; dropping the writer
+/// loses no more than the frames pushed since.
 #[derive(Debug)]
 pub struct DatasetWriter {
     dir: PathBuf,
@@ -85,17 +86,19 @@ impl DatasetWriter {
     /// Starts a recording in `dir`, which must not exist or be an empty folder.
     ///
     /// # Errors
-    /// [`DatasetError::Exists`], [`DatasetError::Input`] for a specification that can't be stored, or
-    /// [`DatasetError::Io`].
+    /// [`DatasetError::Exists`], [`DatasetError::Input`] for a specification that can't be stored,
+    /// or [`DatasetError::Io`].
     pub fn create(dir: &Path, spec: &DatasetSpec) -> Result<Self, DatasetError> {
         Self::create_with(dir, spec, None)
     }
 
-    /// As [`Self::create`]; the cameras' colour is kept as video if a codec is given, through the system's ffmpeg, which is
-    /// looked for with the first frame. Depth and instance ids are lossless all the same.
+    /// As [`Self::create`]; the cameras' colour is kept as video if a codec is given, through the
+    /// system's ffmpeg, which is looked for with the first frame. Depth and instance ids are
+    /// lossless all the same.
     ///
     /// # Errors
-    /// Those of [`Self::create`]; [`DatasetError::Input`] for sides that are odd, which the codecs can't do.
+    /// Those of [`Self::create`]; [`DatasetError::Input`] for sides that are odd, which the codecs
+    /// can't do.
     pub fn create_with(
         dir: &Path,
         spec: &DatasetSpec,
@@ -146,7 +149,8 @@ impl DatasetWriter {
         self.commit()
     }
 
-    /// Keeps the recording's options, all that one which goes on with it must have too, in a file that LeRobot does not look at.
+    /// Keeps the recording's options, all that one which goes on with it must have too, in a file
+    /// that LeRobot does not look at.
     ///
     /// # Errors
     /// What the file system says.
@@ -158,8 +162,9 @@ impl DatasetWriter {
     /// Adds a frame to the episode in progress; encodes its images.
     ///
     /// # Errors
-    /// [`DatasetError::Input`] for a number that is not finite, another number of arms, or images that don't fit the
-    /// cameras. The frame is then not added. [`DatasetError::Video`] if ffmpeg fails; the episode in progress is then lost.
+    /// [`DatasetError::Input`] for a number that is not finite, another number of arms, or images
+    /// that don't fit the cameras. The frame is then not added. [`DatasetError::Video`] if ffmpeg
+    /// fails; the episode in progress is then lost.
     pub fn push_frame(&mut self, frame: &FrameRecord<'_>) -> Result<(), DatasetError> {
         self.push_frame_of(frame, false)
     }
@@ -173,7 +178,8 @@ impl DatasetWriter {
         }
     }
 
-    /// As [`Self::push_frame`], saying whether an operator drove; kept if [`DatasetSpec::intervention`] says so.
+    /// As [`Self::push_frame`], saying whether an operator drove; kept if
+    /// [`DatasetSpec::intervention`] says so.
     ///
     /// # Errors
     /// Those of [`Self::push_frame`].
@@ -219,7 +225,8 @@ impl DatasetWriter {
     /// Finishes the episode in progress: once this returns, it survives a power cut.
     ///
     /// # Errors
-    /// [`DatasetError::Input`] without a frame; otherwise what the file system says, and the episode is lost.
+    /// [`DatasetError::Input`] without a frame; otherwise what the file system says, and the
+    /// episode is lost.
     pub fn end_episode(&mut self) -> Result<(), DatasetError> {
         let len = self.pending_frames();
         if len == 0 {
@@ -379,7 +386,8 @@ impl DatasetWriter {
         }
     }
 
-    /// Writes what describes the finished episodes; `info.json` last, since its total says how many count.
+    /// Writes what describes the finished episodes; `info.json` last, since its total says how many
+    /// count.
     fn commit(&self) -> Result<(), DatasetError> {
         let mut stats = Map::new();
         let columns = self
@@ -415,8 +423,8 @@ fn check(spec: &DatasetSpec, video: Option<VideoCodec>) -> Result<(), DatasetErr
     }
 }
 
-/// A locked folder. A process that another thread starts meanwhile holds a copy of the file for a moment, so that closing ours alone would not
-/// end the lock.
+/// A locked folder. A process that another thread starts meanwhile holds a copy of the file for a
+/// moment, so that closing ours alone would not end the lock.
 #[derive(Debug)]
 struct FolderLock(File);
 

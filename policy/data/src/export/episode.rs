@@ -23,7 +23,8 @@ use crate::dataset::{ACTION_WIDTH, DatasetError, Episode};
 /// Every how many frames an image counts for the statistics.
 const IMAGE_STATS_STRIDE: usize = 10;
 
-/// Writes the dataset's episode `episode` as number `index`, of which `first` frames come before. Returns its statistics by feature.
+/// Writes the dataset's episode `episode` as number `index`, of which `first` frames come before.
+/// Returns its statistics by feature.
 pub(super) fn write_episode(
     source: &Source<'_>,
     index: usize,

@@ -1,4 +1,5 @@
-//! A dataset of this robot in Open-H-Embodiment's form: LeRobot's v2.1 layout with the names of its dVRK datasets.
+//! A dataset of this robot in Open-H-Embodiment's form: LeRobot's v2.1 layout with the names of its
+//! dVRK datasets.
 //!
 //! ```text
 //! meta/info.json             robot_type dvrk, features, splits; written last
@@ -10,12 +11,14 @@
 //! videos/chunk-000/FEATURE/episode_000000.mp4
 //! ```
 //!
-//! States are each arm's measured tip pose (m, unit quaternion x, y, z, w) and jaw (rad), actions its absolute set-point, both in the
-//! arm's RCM frame; psm1's eight numbers, then psm2's; one arm is psm1. Joint positions come along as
-//! `observation.state.joint_positions`. Depth and instance ids stay behind.
+//! States are each arm's measured tip pose (m, unit quaternion x, y, z, w) and jaw (rad), actions
+//! its absolute set-point, both in the arm's RCM frame; psm1's eight numbers, then psm2's; one arm
+//! is psm1. Joint positions come along as `observation.state.joint_positions`. Depth and instance
+//! ids stay behind.
 //!
-//! Splits are ranges of episodes, so episodes without a disturbance come first, then those that recover from one; `val` and `test`
-//! are the first of them, `train` is the rest. Failures come last, and are in no split but `failure`.
+//! Splits are ranges of episodes, so episodes without a disturbance come first, then those that
+//! recover from one; `val` and `test` are the first of them, `train` is the rest. Failures come
+//! last, and are in no split but `failure`.
 
 mod episode;
 mod names;
@@ -84,11 +87,12 @@ pub struct ExportSummary {
     pub warnings: Vec<String>,
 }
 
-/// Writes `options.dataset` as `options.out`. After each episode `done` gets the number of episodes so far and of all.
+/// Writes `options.dataset` as `options.out`. After each episode `done` gets the number of episodes
+/// so far and of all.
 ///
 /// # Errors
-/// A [`DatasetError`]: a dataset that can't be read or has no camera, a folder that is not empty, sides that video can't have,
-/// ffmpeg.
+/// A [`DatasetError`]: a dataset that can't be read or has no camera, a folder that is not empty,
+/// sides that video can't have, ffmpeg.
 pub fn export_open_h(
     options: &ExportOptions,
     done: &mut dyn FnMut(usize, usize),
@@ -118,7 +122,8 @@ fn failure_note(notes: &Notes, episode: usize, words: &str) -> Value {
     note
 }
 
-/// The dataset with its notes; if there are failures, they follow as its last episodes, and the notes say so.
+/// The dataset with its notes; if there are failures, they follow as its last episodes, and the
+/// notes say so.
 fn read(options: &ExportOptions) -> Result<(Dataset, Notes), DatasetError> {
     let mut notes = Notes::read(&options.dataset)?;
     let Some(failures) = &options.failures else {

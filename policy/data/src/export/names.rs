@@ -34,7 +34,8 @@ const CAMERAS: [(&str, &str); 6] = [
 /// The feature of each camera.
 ///
 /// # Errors
-/// [`DatasetError::Missing`] without a camera; [`DatasetError::Input`] for two that would be called the same, and for odd sides.
+/// [`DatasetError::Missing`] without a camera; [`DatasetError::Input`] for two that would be called
+/// the same, and for odd sides.
 pub(super) fn cameras(dir: &Path, dataset: &Dataset) -> Result<Vec<String>, DatasetError> {
     let mut features: Vec<String> = Vec::new();
     for camera in &dataset.spec().cameras {

@@ -1,4 +1,5 @@
-//! `meta/README.md` under the headings that Open-H-Embodiment requires; what is unknown is left to be filled in, in brackets.
+//! `meta/README.md` under the headings that Open-H-Embodiment requires; what is unknown is left to
+//! be filled in, in brackets.
 
 use std::ops::Range;
 

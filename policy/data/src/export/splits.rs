@@ -1,4 +1,5 @@
-//! Which episodes are for what, as ranges: those without a disturbance first, then recoveries, then failures.
+//! Which episodes are for what, as ranges: those without a disturbance first, then recoveries, then
+//! failures.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +8,8 @@ use serde_json::Value;
 use super::note_of;
 use crate::dataset::Notes;
 
-/// The share of episodes without a disturbance that each of `val` and `test` gets, as one of so many.
+/// The share of episodes without a disturbance that each of `val` and `test` gets, as one of so
+/// many.
 const HELD_OUT: usize = 10;
 
 /// The order of the episodes, and where its parts begin.
@@ -62,13 +64,15 @@ impl Splits {
     }
 }
 
-/// Whether an episode shows how to come out of a disturbance: it had one, or was labelled so where it comes from.
+/// Whether an episode shows how to come out of a disturbance: it had one, or was labelled so where
+/// it comes from.
 fn is_recovery(note: &Value) -> bool {
     let disturbed = note["disturbances"].as_array();
     disturbed.is_some_and(|them| !them.is_empty()) || note["recovery"] == true
 }
 
-/// Whether an episode is of an attempt that failed: its reason is noted, or it was labelled so where it comes from.
+/// Whether an episode is of an attempt that failed: its reason is noted, or it was labelled so
+/// where it comes from.
 pub(super) fn is_failure(note: &Value) -> bool {
     note["failure"].is_string() || note["failure"] == true
 }

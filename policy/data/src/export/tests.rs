@@ -1,4 +1,5 @@
-//! Small datasets in Open-H-Embodiment's form, read again as LeRobot reads v2.1; what can't be exported is refused.
+//! Small datasets in Open-H-Embodiment's form, read again as LeRobot reads v2.1; what can't be
+//! exported is refused.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -158,7 +159,8 @@ fn two_arms_have_the_fields_names_order_and_units() {
     );
 }
 
-/// They come last whatever is noted of them, in no split but `failure`, and the page says which they are.
+/// They come last whatever is noted of them, in no split but `failure`, and the page says which
+/// they are.
 #[test]
 fn failures_are_a_split_of_their_own() {
     let folder = Folder::new("failures");

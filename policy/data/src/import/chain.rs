@@ -9,11 +9,13 @@ use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use super::ImportError;
 use crate::dataset::TIP_POSE_WIDTH;
 
-/// Reads another arm's chain: JSON with six rows `[twist, length, offset along, offset about, slides]` in rad and m, modified
-/// Denavit-Hartenberg as in [`DhRow`]. The tip frame lies to the last joint's as that of the patient-side manipulator.
+/// Reads another arm's chain: JSON with six rows `[twist, length, offset along, offset about,
+/// slides]` in rad and m, modified Denavit-Hartenberg as in [`DhRow`]. The tip frame lies to the
+/// last joint's as that of the patient-side manipulator.
 ///
 /// # Errors
-/// [`ImportError::Io`]; [`ImportError::Chain`] for another number of rows, another type, or a number beyond ±100.
+/// [`ImportError::Io`]; [`ImportError::Chain`] for another number of rows, another type, or a
+/// number beyond ±100.
 pub fn read_chain(path: &Path) -> Result<[DhRow; JOINT_COUNT], ImportError> {
     let refuse = |reason: String| ImportError::Chain {
         path: path.to_owned(),
@@ -74,8 +76,8 @@ pub(super) fn tip_in_rcm(chain: &[DhRow; JOINT_COUNT], joints: &[f64]) -> Pose {
     )
 }
 
-/// Poses as datasets have them. Of a turn's two quaternions each has the one that is nearer to the one before; the first has
-/// its greatest number positive.
+/// Poses as datasets have them. Of a turn's two quaternions each has the one that is nearer to the
+/// one before; the first has its greatest number positive.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PoseNumbers {
     before: Option<[f64; 4]>,

@@ -36,7 +36,8 @@ pub(super) struct Recording {
     prefix: String,
 }
 
-/// What a link to another file leads to: nothing that is imported, and nothing that is left out without a word.
+/// What a link to another file leads to: nothing that is imported, and nothing that is left out
+/// without a word.
 struct NotFollowed;
 
 impl ExternalLinkResolver for NotFollowed {
@@ -84,7 +85,8 @@ impl Recording {
         })
     }
 
-    /// The names of what is in the group `name` of the episode, sorted; `None` if there is no such group.
+    /// The names of what is in the group `name` of the episode, sorted; `None` if there is no such
+    /// group.
     pub(super) fn members(&self, name: &str) -> Result<Option<Vec<String>>, ImportError> {
         let names = self
             .file
@@ -204,7 +206,8 @@ impl Recording {
         Ok(Numbers { values, width })
     }
 
-    /// All numbers of `dataset` in double precision; `None` if they are of no type that fits into it.
+    /// All numbers of `dataset` in double precision; `None` if they are of no type that fits into
+    /// it.
     fn widened(&self, dataset: &Dataset) -> Result<Option<Vec<f64>>, Error> {
         let dtype = dataset.dtype();
         Ok(Some(if let Datatype::FloatingPoint { size, .. } = dtype {

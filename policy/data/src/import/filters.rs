@@ -27,8 +27,8 @@ pub(super) fn registry() -> FilterRegistry {
     registry
 }
 
-/// Why the dataset with `header` can't be unpacked in bounded memory. The library bounds what one compression may give by the
-/// chunk's size; of a second one in front of it, it could not know.
+/// Why the dataset with `header` can't be unpacked in bounded memory. The library bounds what one
+/// compression may give by the chunk's size; of a second one in front of it, it could not know.
 pub(super) fn defect(header: &ObjectHeader) -> Option<String> {
     let pipelines = header.messages.iter().filter_map(|message| {
         if let HdfMessage::FilterPipeline(pipeline) = message {

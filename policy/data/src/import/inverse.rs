@@ -1,8 +1,9 @@
 //! Joints of a patient-side manipulator from the pose of its tip, in closed form.
 //!
-//! The wrist-yaw axis is known from the tip's rotation, and the link from the wrist-pitch axis to the tip is normal to it and lies
-//! in the plane of that axis and the RCM. So the wrist-pitch axis is known; yaw, pitch and insertion follow from where it is,
-//! the wrist's three joints from the remaining rotation.
+//! The wrist-yaw axis is known from the tip's rotation, and the link from the wrist-pitch axis to
+//! the tip is normal to it and lies in the plane of that axis and the RCM. So the wrist-pitch axis
+//! is known; yaw, pitch and insertion follow from where it is, the wrist's three joints from the
+//! remaining rotation.
 
 use std::f64::consts::TAU;
 
@@ -43,7 +44,8 @@ impl std::fmt::Display for OutOfReach {
     }
 }
 
-/// The joints (rad, insertion m) that put the tip at `tip_in_rcm`, with the roll's full turn nearest to `near_roll` (rad).
+/// The joints (rad, insertion m) that put the tip at `tip_in_rcm`, with the roll's full turn
+/// nearest to `near_roll` (rad).
 ///
 /// # Errors
 /// [`OutOfReach`] if there are none within the arm's limits and [`SLACK`].

@@ -1,8 +1,8 @@
 //! LZF, h5py's fast compression (`compression="lzf"`).
 //!
-//! A control byte below 32 is followed by that many bytes and one more, as they are. Any other names a stretch of what is
-//! already there: its upper three bits the length less 2 (7: a byte follows that adds to it), its lower five and the next byte
-//! how far back it begins, less 1.
+//! A control byte below 32 is followed by that many bytes and one more, as they are. Any other
+//! names a stretch of what is already there: its upper three bits the length less 2 (7: a byte
+//! follows that adds to it), its lower five and the next byte how far back it begins, less 1.
 
 /// The decompressed bytes, at most `most`; `None` if `packed` is damaged or holds more.
 pub(super) fn decompress(packed: &[u8], most: usize) -> Option<Vec<u8>> {

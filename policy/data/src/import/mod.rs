@@ -1,4 +1,5 @@
-//! Demonstrations of a dVRK arm or two in HDF5, as ACT's and robomimic's programs write them, into a LeRobot v3 dataset.
+//! Demonstrations of a dVRK arm or two in HDF5, as ACT's and robomimic's programs write them, into
+//! a LeRobot v3 dataset.
 //!
 //! ```text
 //! act        FOLDER/episode_0.hdf5 ...   observations/qpos and action (steps, 7 an arm): six joint positions (rad, insertion m)
@@ -8,16 +9,19 @@
 //! robomimic  FILE, data/demo_0 ...       joints, images and actions by the names that the options give them
 //! ```
 //!
-//! A dataset here has for each frame the arm's joints, the pose of its tip, and the commanded pose of its tip. Poses that the
-//! file lacks are computed from the joints by the arm's forward kinematics. What can't be told from the file is refused rather
-//! than guessed: deltas as actions, another number of joints, numbers that are not finite, joints outside of the arm's limits
+//! A dataset here has for each frame the arm's joints, the pose of its tip, and the commanded pose
+//! of its tip. Poses that the file lacks are computed from the joints by the arm's forward
+//! kinematics. What can't be told from the file is refused rather than guessed: deltas as actions,
+//! another number of joints, numbers that are not finite, joints outside of the arm's limits
 //! (degrees, or a normalised gripper), frames that are missing.
 //!
-//! Any other LeRobot dataset, and a dVRK's raw recordings, come in by a table of names: [`import_mapped`].
+//! Any other LeRobot dataset, and a dVRK's raw recordings, come in by a table of names:
+//! [`import_mapped`].
 //!
-//! All episodes are looked at before the first is written. An import that is cut off keeps whole episodes, as
-//! [`DatasetWriter`](crate::dataset::DatasetWriter) does. HDF5 is read by a library without C, links that lead out of the file
-//! are refused, and what a damaged file can have it allocate is bounded.
+//! All episodes are looked at before the first is written. An import that is cut off keeps whole
+//! episodes, as [`DatasetWriter`](crate::dataset::DatasetWriter) does. HDF5 is read by a library
+//! without C, links that lead out of the file are refused, and what a damaged file can have it
+//! allocate is bounded.
 
 mod arms;
 mod chain;
@@ -76,11 +80,13 @@ pub struct ImportOptions {
     pub joints: Option<String>,
     /// Commanded joints and jaw within an episode; ACT's name if neither this nor a pose is given.
     pub action_joints: Option<String>,
-    /// Commanded tip poses within an episode: position (m), quaternion x, y, z, w in the arm's RCM frame, jaw (rad).
+    /// Commanded tip poses within an episode: position (m), quaternion x, y, z, w in the arm's RCM
+    /// frame, jaw (rad).
     pub action_pose: Option<String>,
     /// Cameras' frames within an episode; with ACT's layout all of its cameras if empty.
     pub images: Vec<String>,
-    /// Width and height that frames are brought to, pixels, each 1 to [`SIDE_MAX`](crate::dataset::SIDE_MAX); as they are if not given.
+    /// Width and height that frames are brought to, pixels, each 1 to
+    /// [`SIDE_MAX`](crate::dataset::SIDE_MAX); as they are if not given.
     pub size: Option<(u32, u32)>,
     /// The arm's chain from the RCM to its last joint.
     pub chain: [DhRow; JOINT_COUNT],

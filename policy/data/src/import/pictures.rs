@@ -14,8 +14,8 @@ use crate::dataset::SIDE_MAX;
 /// What becomes of frames as they are stored.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Form {
-    /// Red and blue of JPEG are the other way round: act-plus-plus hands red, green, blue to an encoder that takes blue, green,
-    /// red.
+    /// Red and blue of JPEG are the other way round: act-plus-plus hands red, green, blue to an
+    /// encoder that takes blue, green, red.
     pub(super) swapped: bool,
     /// Width and height that frames are brought to.
     pub(super) resized: Option<(u32, u32)>,

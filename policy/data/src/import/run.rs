@@ -50,12 +50,13 @@ fn described(camera: &CameraSpec) -> String {
     format!("{} ({} x {})", camera.name, camera.width, camera.height)
 }
 
-/// Writes all episodes of `options.source` as the dataset `options.out`. After each `done` gets the number of
-/// episodes so far and of all.
+/// Writes all episodes of `options.source` as the dataset `options.out`. After each `done` gets the
+/// number of episodes so far and of all.
 ///
 /// # Errors
-/// An [`ImportError`] that names the file, the dataset in it, the step and what would do. What an episode's tables and the sizes
-/// of its frames can show is found before anything is written; after a frame that can't be read the episodes before it stay.
+/// An [`ImportError`] that names the file, the dataset in it, the step and what would do. What an
+/// episode's tables and the sizes of its frames can show is found before anything is written; after
+/// a frame that can't be read the episodes before it stay.
 pub fn import(
     options: &ImportOptions,
     done: &mut dyn FnMut(usize, usize),

@@ -1,7 +1,8 @@
 //! From pixels with depth to points in a stated frame.
 //!
-//! With `a = (column + 0.5 - cx) / fx` and `b = (row + 0.5 - cy) / fy`, of a distorting lens both undistorted, computed in double
-//! precision and then rounded, and R and t the camera's rounded pose, coordinate i of a pixel's point is `((R_i1 b + R_i2) + R_i0 a) depth + t_i`.
+//! With `a = (column + 0.5 - cx) / fx` and `b = (row + 0.5 - cy) / fy`, of a distorting lens both
+//! undistorted, computed in double precision and then rounded, and R and t the camera's rounded
+//! pose, coordinate i of a pixel's point is `((R_i1 b + R_i2) + R_i0 a) depth + t_i`.
 
 use hal::{FrameRef, Intrinsics, Pose};
 use serde::{Deserialize, Serialize};
@@ -17,7 +18,8 @@ pub enum CloudFrame {
     /// The scene's.
     #[default]
     Scene,
-    /// The first camera's: x right, y down, z along the view. What a system has that knows no scene.
+    /// The first camera's: x right, y down, z along the view. What a system has that knows no
+    /// scene.
     FirstCamera,
 }
 
@@ -54,7 +56,8 @@ impl CropBox {
     }
 }
 
-/// The points of every pixel that shows one of `instances`, has a finite positive depth and lies in `crop`.
+/// The points of every pixel that shows one of `instances`, has a finite positive depth and lies in
+/// `crop`.
 ///
 /// # Errors
 /// [`PerceptionError`] if a frame is not whole, the box has no inside, or no point is left.

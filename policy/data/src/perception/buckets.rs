@@ -1,9 +1,11 @@
-//! Points sorted into the cells of a coarse grid, each with its distance to the nearest point taken so far.
+//! Points sorted into the cells of a coarse grid, each with its distance to the nearest point taken
+//! so far.
 //!
-//! Rounding to nearest never reverses an order: if |a| <= |b| then the computed a² is at most the computed b², and so for
-//! sums and differences. So the distance from a sample to the nearest place of a bucket's bounding box, computed with the
-//! same operations as the distance to a point, is never above the computed distance to any point in the box. A bucket whose
-//! farthest point is not farther than that keeps all its distances, bit for bit.
+//! Rounding to nearest never reverses an order: if |a| <= |b| then the computed a² is at most the
+//! computed b², and so for sums and differences. So the distance from a sample to the nearest place
+//! of a bucket's bounding box, computed with the same operations as the distance to a point, is
+//! never above the computed distance to any point in the box. A bucket whose farthest point is not
+//! farther than that keeps all its distances, bit for bit.
 
 use super::Point;
 use super::error::PerceptionError;
@@ -11,7 +13,8 @@ use super::error::PerceptionError;
 /// Points that a bucket holds, about, when they lie on surfaces.
 const POINTS_PER_BUCKET: usize = 128;
 
-/// Buckets are not many more than this, about, however many points there are: each round looks at every bucket.
+/// Buckets are not many more than this, about, however many points there are: each round looks at
+/// every bucket.
 const BUCKETS_MAX: usize = 1024;
 
 /// Distances are computed for so many points at a time.
@@ -125,7 +128,8 @@ impl Buckets {
 }
 
 impl Bucket {
-    /// Squared distance from `sample` to the box around the points, computed as distances to points are.
+    /// Squared distance from `sample` to the box around the points, computed as distances to points
+    /// are.
     fn least_distance(&self, sample: &Point) -> f32 {
         let [x, y, z] = core::array::from_fn(|axis| {
             sample[axis].clamp(self.min[axis], self.max[axis]) - sample[axis]
@@ -138,7 +142,8 @@ fn squared(x: f32, y: f32, z: f32) -> f32 {
     (x * x + y * y) + z * z
 }
 
-/// Lowers `nearest` to the distances from `sample`, where these are less; the greatest that is left.
+/// Lowers `nearest` to the distances from `sample`, where these are less; the greatest that is
+/// left.
 fn update(sample: &Point, axes: [&[f32]; 3], nearest: &mut [f32]) -> f32 {
     let [xs, ys, zs] = axes.map(|axis| axis.as_chunks::<LANES>());
     let (whole, rest) = nearest.as_chunks_mut::<LANES>();

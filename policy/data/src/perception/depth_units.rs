@@ -1,4 +1,5 @@
-//! Depth as whole numbers of a stated unit: what recordings keep, and what clouds are made from, in training and at run time.
+//! Depth as whole numbers of a stated unit: what recordings keep, and what clouds are made from, in
+//! training and at run time.
 
 /// Depth of one unit, m. A depth is rounded to the nearest, so by 10 micrometres at most.
 pub const DEPTH_UNIT_M: f64 = 2e-5;
@@ -6,7 +7,8 @@ pub const DEPTH_UNIT_M: f64 = 2e-5;
 /// The greatest depth that can be told, m; what is farther away has none.
 pub const DEPTH_MAX_M: f64 = DEPTH_UNIT_M * u16::MAX as f64;
 
-/// `depth_m` in units; 0 where there is none, it is not a number, negative, or beyond [`DEPTH_MAX_M`].
+/// `depth_m` in units; 0 where there is none, it is not a number, negative, or beyond
+/// [`DEPTH_MAX_M`].
 #[must_use]
 #[expect(
     clippy::cast_possible_truncation,

@@ -85,7 +85,8 @@ pub enum PerceptionError {
     /// The requested number of points is 0.
     #[error("a cloud of no points was requested")]
     NoPoints,
-    /// Nothing is left of the frames. A cloud is refused for it only if wanted pixels are in view and none has a depth.
+    /// Nothing is left of the frames. A cloud is refused for it only if wanted pixels are in view
+    /// and none has a depth.
     #[error("no point is left: {0}")]
     Empty(Refused),
     /// There is no point to choose from.

@@ -1,11 +1,12 @@
 //! Depth images to point clouds: back-projection, mask, crop, thinning, farthest-point sampling.
 //!
-//! Plain single precision in a stated order of operations: the same frames give the same bits in every build. What comes
-//! out is in metres and not normalised, and its order is part of the result: frames in their order, each row by row from
-//! the top left, then what the sampling makes of that.
+//! Plain single precision in a stated order of operations: the same frames give the same bits in
+//! every build. What comes out is in metres and not normalised, and its order is part of the
+//! result: frames in their order, each row by row from the top left, then what the sampling makes
+//! of that.
 //!
-//! Source: reference note on policies, sections 4 and 5.8 (crop before sampling, sampling from index 0, the first of equal
-//! maxima, zeros where points are missing).
+//! Source: reference note on policies, sections 4 and 5.8 (crop before sampling, sampling from
+//! index 0, the first of equal maxima, zeros where points are missing).
 
 mod back_projection;
 mod buckets;
@@ -47,7 +48,8 @@ pub fn shows_nothing(cloud: &[Point]) -> bool {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Padding {
-    /// The first point again, which is also what sampling on would give: nothing that takes a maximum sees it.
+    /// The first point again, which is also what sampling on would give: nothing that takes a
+    /// maximum sees it.
     #[default]
     FirstPoint,
     /// Points at the origin, as DP3's published code has it. The network sees them.
@@ -73,12 +75,14 @@ pub struct CloudOptions {
 
 /// The cloud that `frames` show: exactly `options.points` points, the farthest first.
 ///
-/// Where nothing wanted is in view (all of it hidden, or outside of the box) every point is the origin of the cloud's
-/// frame, which is what published code's zero padding comes to and what [`shows_nothing`] knows again. Where wanted
-/// pixels are in view but none has a depth, the sensor is to blame and there is no cloud.
+/// Where nothing wanted is in view (all of it hidden, or outside of the box) every point is the
+/// origin of the cloud's frame, which is what published code's zero padding comes to and what
+/// [`shows_nothing`] knows again. Where wanted pixels are in view but none has a depth, the sensor
+/// is to blame and there is no cloud.
 ///
 /// # Errors
-/// [`PerceptionError`] if a frame is not whole, an option is senseless or no pixel of what is wanted has a depth.
+/// [`PerceptionError`] if a frame is not whole, an option is senseless or no pixel of what is
+/// wanted has a depth.
 pub fn point_cloud(
     frames: &[FrameRef<'_>],
     options: &CloudOptions,

@@ -3,9 +3,11 @@
 use super::Point;
 use super::error::PerceptionError;
 
-/// Indices of the `count` points nearest to each of `centres`, nearest first, the first of equals before the others.
+/// Indices of the `count` points nearest to each of `centres`, nearest first, the first of equals
+/// before the others.
 ///
-/// A centre that is one of the points finds itself. Squared distances are `(dx² + dy²) + dz²` in single precision.
+/// A centre that is one of the points finds itself. Squared distances are `(dx² + dy²) + dz²` in
+/// single precision.
 ///
 /// # Errors
 /// [`PerceptionError`] if there are fewer points than that, or one is not finite.

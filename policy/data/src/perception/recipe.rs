@@ -1,4 +1,5 @@
-//! How a policy's clouds are made, as its checkpoint states it: the same in training and at run time.
+//! How a policy's clouds are made, as its checkpoint states it: the same in training and at run
+//! time.
 
 use hal::FrameRef;
 use serde::{Deserialize, Serialize};
@@ -14,7 +15,8 @@ use super::{
 pub struct CloudRecipe {
     /// The frame in which the points are, and the box.
     pub frame: CloudFrame,
-    /// Lower and upper corner of the box outside of which points are dropped, m; no box drops nothing.
+    /// Lower and upper corner of the box outside of which points are dropped, m; no box drops
+    /// nothing.
     pub crop_m: Option<[Point; 2]>,
     /// Instance ids that are dropped: background, ground, what hides the rest.
     pub dropped_instances: Vec<u8>,
@@ -45,7 +47,8 @@ impl CloudRecipe {
         }
     }
 
-    /// The cloud of `frames`, their depths rounded as recordings round them; for these, that changes nothing.
+    /// The cloud of `frames`, their depths rounded as recordings round them; for these, that
+    /// changes nothing.
     ///
     /// # Errors
     /// Those of [`point_cloud`].

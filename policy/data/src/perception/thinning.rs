@@ -8,10 +8,11 @@ use super::error::PerceptionError;
 /// A place in the table that holds no point.
 const FREE: u32 = u32::MAX;
 
-/// The first point of every cube of a grid with sides of `side_m` through the origin, in the order of `points`.
+/// The first point of every cube of a grid with sides of `side_m` through the origin, in the order
+/// of `points`.
 ///
-/// Published code keeps a random point of each cube in training; the first one needs no seed and is the same every time.
-/// Coordinates of 2^31 cubes and more count as one cube.
+/// Published code keeps a random point of each cube in training; the first one needs no seed and is
+/// the same every time. Coordinates of 2^31 cubes and more count as one cube.
 ///
 /// # Errors
 /// [`PerceptionError::Voxel`] if `side_m` is no length.
@@ -19,8 +20,8 @@ pub fn thin(points: &[Point], side_m: f32) -> Result<Vec<Point>, PerceptionError
     if !(side_m.is_finite() && side_m > 0.0) {
         return Err(PerceptionError::Voxel { side_m });
     }
-    // Twice as many places as points, so that the search for a free one stays short. What comes out does not depend on
-    // where anything lies in the table.
+    // Twice as many places as points, so that the search for a free one stays short. What comes out
+    // does not depend on where anything lies in the table.
     let mut table = vec![FREE; (2 * points.len()).next_power_of_two()];
     let mut kept: Vec<Point> = Vec::new();
     let mut cubes: Vec<[i32; 3]> = Vec::new();
@@ -41,7 +42,8 @@ pub fn thin(points: &[Point], side_m: f32) -> Result<Vec<Point>, PerceptionError
     Ok(kept)
 }
 
-/// Where in the hash table `cube`, which is not in it, belongs; `None` if it is. The table's length is a power of two.
+/// Where in the hash table `cube`, which is not in it, belongs; `None` if it is. The table's length
+/// is a power of two.
 fn free_place(table: &[u32], cubes: &[[i32; 3]], cube: [i32; 3]) -> Option<usize> {
     let mask = table.len() - 1;
     let mut place = scatter(cube) & mask;

@@ -1,11 +1,12 @@
-//! A folder for each test, the seeds of its cases, and bounds on memory. The hostile tests of the other crates in `policy/`
-//! have it too.
+//! A folder for each test, the seeds of its cases, and bounds on memory. The hostile tests of the
+//! other crates in `policy/` have it too.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Address space that all tests of a program may ask for together, on top of what it begins with, bytes. Files here have
-/// less than a megabyte; what is left is for threads and the network library.
+/// Address space that all tests of a program may ask for together, on top of what it begins with,
+/// bytes. Files here have less than a megabyte; what is left is for threads and the network
+/// library.
 const MEMORY_MAX: u64 = 3 << 30;
 
 /// A folder of its own for one test, removed at the end.

@@ -14,7 +14,8 @@ const ODD: [u64; 8] = [
     u64::MAX,
 ];
 
-/// `whole` with one kind of damage; the first and the last bytes, where formats keep their lengths, are hit more often.
+/// `whole` with one kind of damage; the first and the last bytes, where formats keep their lengths,
+/// are hit more often.
 pub(crate) fn damaged(whole: &[u8], seed: u64) -> Vec<u8> {
     let mut random = SplitMix64::named("damage", seed);
     let mut bytes = whole.to_vec();
@@ -59,7 +60,8 @@ pub(crate) fn damaged(whole: &[u8], seed: u64) -> Vec<u8> {
     bytes
 }
 
-/// Puts another number in the place of one that is written in digits: sizes, offsets and shapes in JSON.
+/// Puts another number in the place of one that is written in digits: sizes, offsets and shapes in
+/// JSON.
 fn digits(bytes: &mut Vec<u8>, random: &mut SplitMix64) {
     let starts: Vec<usize> = (1..bytes.len())
         .filter(|&at| bytes[at].is_ascii_digit() && !bytes[at - 1].is_ascii_digit())

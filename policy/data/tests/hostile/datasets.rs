@@ -1,4 +1,5 @@
-//! Datasets: every file of a small one damaged in turn, and files of another make in the place of the right ones.
+//! Datasets: every file of a small one damaged in turn, and files of another make in the place of
+//! the right ones.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! Demonstrations in HDF5: those that h5py wrote in the old form, which has no checksums, and packed ones of the new form.
+//! Demonstrations in HDF5: those that h5py wrote in the old form, which has no checksums, and
+//! packed ones of the new form.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -37,7 +38,8 @@ fn options(layout: Layout, source: PathBuf, out: PathBuf) -> ImportOptions {
     }
 }
 
-/// Imports; what comes in is whole and finite, or the refusal names the file and leaves no half episode.
+/// Imports; what comes in is whole and finite, or the refusal names the file and leaves no half
+/// episode.
 fn judge(options: &ImportOptions, case: &str) -> bool {
     let _ = fs::remove_dir_all(&options.out);
     let result = import(options, &mut |_, _| {});
@@ -140,7 +142,8 @@ fn a_damaged_file_of_robomimic_is_imported_or_refused_by_name() {
     damage(&by_h5py("robomimic.hdf5"), &file, &options, 2);
 }
 
-/// An episode in ACT's layout, of the form that HDF5 has since 1.10, packed in every way, with JPEG.
+/// An episode in ACT's layout, of the form that HDF5 has since 1.10, packed in every way, with
+/// JPEG.
 fn packed() -> Vec<u8> {
     let jpeg = |step: u8| {
         let rgb: Vec<u8> = (0..192).map(|at: u8| at.wrapping_mul(step + 3)).collect();

@@ -1,4 +1,5 @@
-//! What an ACT network is made of: LeRobot's field names, the presets, and the variants as named options.
+//! What an ACT network is made of: LeRobot's field names, the presets, and the variants as named
+//! options.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,11 +12,12 @@ pub(crate) const STAGES: usize = 4;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BackboneNorm {
-    /// Batch normalisation with fixed statistics, as in imported checkpoints: nothing of it is trained.
+    /// Batch normalisation with fixed statistics, as in imported checkpoints: nothing of it is
+    /// trained.
     #[default]
     FrozenBatchNorm,
-    /// Group normalisation, 16 channels a group, trained. Independent of the batch and of its size, and the same in
-    /// training and inference, so it is what trains from scratch.
+    /// Group normalisation, 16 channels a group, trained. Independent of the batch and of its size,
+    /// and the same in training and inference, so it is what trains from scratch.
     GroupNorm,
 }
 
@@ -37,7 +39,8 @@ pub enum DecoderOutput {
     /// The last layer's.
     #[default]
     Last,
-    /// The first layer's, as in the original code, whose further layers never mattered. They are not built.
+    /// The first layer's, as in the original code, whose further layers never mattered. They are
+    /// not built.
     First,
 }
 
@@ -75,8 +78,8 @@ pub struct ActConfig {
     pub loss_denominator: LossDenominator,
     /// Normalisation layers of the backbone.
     pub backbone_norm: BackboneNorm,
-    /// Stages of the ResNet-18 that are built: 4, as LeRobot's; 3 leave out the last, three quarters of its weights, and see
-    /// twice as finely.
+    /// Stages of the ResNet-18 that are built: 4, as LeRobot's; 3 leave out the last, three
+    /// quarters of its weights, and see twice as finely.
     #[serde(default = "all_stages")]
     pub backbone_stages: usize,
     /// Numbers in `observation.state`.
@@ -99,22 +102,26 @@ const fn all_stages() -> usize {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ActPreset {
-    /// The original: 7 decoder layers of which the first counts, all elements in the denominator, 512x512 images.
+    /// The original: 7 decoder layers of which the first counts, all elements in the denominator,
+    /// 512x512 images.
     Paper,
     /// LeRobot's defaults, 512x512 images.
     Lerobot,
-    /// For quick work: half the width, 256x256 images, chunks of 50 steps; 31 MB in half precision without the
-    /// variational encoder.
+    /// For quick work: half the width, 256x256 images, chunks of 50 steps; 31 MB in half precision
+    /// without the variational encoder.
     Small,
-    /// [`Self::Small`] without the backbone's last stage: a token for every 16 pixels in place of 32, 14 MB in half precision.
+    /// [`Self::Small`] without the backbone's last stage: a token for every 16 pixels in place of
+    /// 32, 14 MB in half precision.
     Compact,
 }
 
-/// Numbers of one arm in `observation.state` and in one action: six joints or pose numbers, and the jaw.
+/// Numbers of one arm in `observation.state` and in one action: six joints or pose numbers, and the
+/// jaw.
 pub const STATE_DIM: i64 = 7;
 
 impl ActConfig {
-    /// The network of `preset` for one arm and `cameras`, feature names, with group normalisation since nothing is imported.
+    /// The network of `preset` for one arm and `cameras`, feature names, with group normalisation
+    /// since nothing is imported.
     #[must_use]
     pub fn preset(preset: ActPreset, cameras: &[String]) -> Self {
         let base = Self::lerobot_defaults(STATE_DIM, STATE_DIM, cameras, 512, 512);

@@ -12,14 +12,15 @@ use crate::dimension::width;
 pub struct Losses {
     /// Mean absolute error of the normalised actions.
     pub l1: Tensor,
-    /// Kullback-Leibler divergence of the latent from the standard normal, summed over it, mean over the batch; zero
-    /// without a variational encoder.
+    /// Kullback-Leibler divergence of the latent from the standard normal, summed over it, mean
+    /// over the batch; zero without a variational encoder.
     pub kl: Tensor,
     /// `l1 + kl_weight * kl`: what is minimised.
     pub total: Tensor,
 }
 
-/// The loss of `predicted` against `actions`, both `(batch, steps, action)`, normalised; `is_pad` is `(batch, steps)`.
+/// The loss of `predicted` against `actions`, both `(batch, steps, action)`, normalised; `is_pad`
+/// is `(batch, steps)`.
 ///
 /// # Errors
 /// The network library's, if shapes do not fit.

@@ -1,9 +1,10 @@
 //! ACT: action chunking with transformers (Zhao et al. 2023), with LeRobot's parameter names.
 //!
-//! Inputs and outputs are normalised; nothing in here knows units. Tokens of the encoder: the latent, the state, then
-//! the image tokens, camera after camera, row by row.
+//! Inputs and outputs are normalised; nothing in here knows units. Tokens of the encoder: the
+//! latent, the state, then the image tokens, camera after camera, row by row.
 //!
-//! Source: reference note on policies, sections 2 and 3; checked against golden numbers in `tests/golden/`.
+//! Source: reference note on policies, sections 2 and 3; checked against golden numbers in
+//! `tests/golden/`.
 
 mod config;
 mod folded;
@@ -75,7 +76,8 @@ pub struct Demonstration<'a> {
 impl Act {
     /// Builds the network of `config` from `source`.
     ///
-    /// The variational encoder is left out if the source has nothing of it; the network can then infer but not train.
+    /// The variational encoder is left out if the source has nothing of it; the network can then
+    /// infer but not train.
     ///
     /// # Errors
     /// [`ParameterError`] if a tensor is missing, left over or of another shape.
@@ -131,9 +133,9 @@ impl Act {
         self.trunk.infer(&self.seen(&tokens), state)
     }
 
-    /// What frozen batch normalisation takes as its statistics in a training from scratch: mean and variance of each
-    /// normalisation of the backbone for `images` `(n, cameras, 3, height, width)`, normalised, on the network's device; by the
-    /// network's keys.
+    /// What frozen batch normalisation takes as its statistics in a training from scratch: mean and
+    /// variance of each normalisation of the backbone for `images` `(n, cameras, 3, height,
+    /// width)`, normalised, on the network's device; by the network's keys.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
@@ -161,8 +163,8 @@ impl Act {
         self.trunk.train(&self.seen(&tokens), state, demonstration)
     }
 
-    /// What the backbone makes of `images` for [`Self::train_on`], outside of the library's own bookkeeping, and what
-    /// [`Self::features_back_by_hand`] needs of it.
+    /// What the backbone makes of `images` for [`Self::train_on`], outside of the library's own
+    /// bookkeeping, and what [`Self::features_back_by_hand`] needs of it.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit or the parameters have not 16 bits.

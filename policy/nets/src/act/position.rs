@@ -1,11 +1,13 @@
-//! Sine position tables: along a sequence for the variational encoder, over the image plane for image tokens.
+//! Sine position tables: along a sequence for the variational encoder, over the image plane for
+//! image tokens.
 
 use core::f64::consts::TAU;
 
 /// The base of all frequencies.
 const TEMPERATURE: f64 = 10_000.0;
 
-/// Sine and cosine of `angle` at `width` frequencies, interleaved: even places sine, odd places cosine.
+/// Sine and cosine of `angle` at `width` frequencies, interleaved: even places sine, odd places
+/// cosine.
 fn interleaved(angle: f64, width: i64) -> impl Iterator<Item = f32> {
     (0..width).map(move |index| {
         let frequency = TEMPERATURE.powf(to_f64(2 * (index / 2)) / to_f64(width));
@@ -26,9 +28,11 @@ pub(super) fn sequence_table(length: i64, width: i64) -> Vec<f32> {
         .collect()
 }
 
-/// Rows of a table for an image of `height` x `width` tokens, row-major `(height * width)` x `channels`.
+/// Rows of a table for an image of `height` x `width` tokens, row-major `(height * width)` x
+/// `channels`.
 ///
-/// The first half of the channels tells the row, the second half the column; both run over one turn, counted from 1.
+/// The first half of the channels tells the row, the second half the column; both run over one
+/// turn, counted from 1.
 #[must_use]
 pub(super) fn plane_table(height: i64, width: i64, channels: i64) -> Vec<f32> {
     let turn = |index: i64, count: i64| to_f64(index + 1) / (to_f64(count) + 1e-6) * TAU;

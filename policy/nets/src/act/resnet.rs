@@ -1,5 +1,5 @@
-//! ResNet-18 without its head: images to feature maps, at a 32nd of their size and with 512 channels where all four stages are
-//! built, at a 16th and with 256 where three are.
+//! ResNet-18 without its head: images to feature maps, at a 32nd of their size and with 512
+//! channels where all four stages are built, at a 16th and with 256 where three are.
 
 pub(crate) mod by_hand;
 #[cfg(test)]
@@ -75,7 +75,8 @@ impl ResNet18 {
         STAGE_CHANNELS[stages.clamp(1, STAGES) - 1]
     }
 
-    /// Side of the feature map for an image side of `pixels`: a halving a stage and one before, each rounded up.
+    /// Side of the feature map for an image side of `pixels`: a halving a stage and one before,
+    /// each rounded up.
     pub(super) const fn feature_side(pixels: i64, stages: usize) -> i64 {
         let mut side = pixels;
         let mut halvings = 0;
@@ -285,8 +286,9 @@ impl Norm {
         })
     }
 
-    /// The same for numbers of `kind`. Statistics are rounded only here, as one scale and one shift: a variance or a mean that was
-    /// rounded before would be far off where the two of them nearly cancel out.
+    /// The same for numbers of `kind`. Statistics are rounded only here, as one scale and one
+    /// shift: a variance or a mean that was rounded before would be far off where the two of them
+    /// nearly cancel out.
     fn of_kind(self, kind: Kind) -> Result<Self, TchError> {
         Ok(match self {
             Self::Frozen { scale, shift } => Self::Frozen {

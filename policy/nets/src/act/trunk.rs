@@ -85,7 +85,8 @@ impl Trunk {
         self.decode(seen, state, &latent, 0.0)
     }
 
-    /// The chunk for the latent that the demonstration and its noise pick; zero without a variational encoder.
+    /// The chunk for the latent that the demonstration and its noise pick; zero without a
+    /// variational encoder.
     pub(crate) fn train(
         &self,
         seen: &EncoderInput<'_>,

@@ -1,4 +1,5 @@
-//! The variational encoder: in training it reads the demonstrated chunk and says which style it has.
+//! The variational encoder: in training it reads the demonstrated chunk and says which style it
+//! has.
 
 use tch::{Kind, TchError, Tensor};
 
@@ -55,7 +56,8 @@ impl VaeEncoder {
         })
     }
 
-    /// `state` is `(batch, state)`, `actions` `(batch, steps, action)`, `is_pad` `(batch, steps)`, true where padded.
+    /// `state` is `(batch, state)`, `actions` `(batch, steps, action)`, `is_pad` `(batch, steps)`,
+    /// true where padded.
     pub(super) fn forward(
         &self,
         state: &Tensor,

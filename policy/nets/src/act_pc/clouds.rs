@@ -13,7 +13,8 @@ pub struct Clouds {
     pub points: Tensor,
     /// Indices of the tokens' centres among the points, `(batch, tokens)`, whole numbers.
     pub centres: Tensor,
-    /// Indices of the points around each centre, nearest first, `(batch, tokens, neighbours)`, whole numbers.
+    /// Indices of the points around each centre, nearest first, `(batch, tokens, neighbours)`,
+    /// whole numbers.
     pub neighbours: Tensor,
 }
 
@@ -41,11 +42,12 @@ pub enum CloudsError {
 impl Clouds {
     /// The batch of `clouds` for a network of `config`, on `device`.
     ///
-    /// Which points belong together is found on the CPU, in plain Rust: the same on every machine, and it can be done
-    /// ahead while a network trains.
+    /// Which points belong together is found on the CPU, in plain Rust: the same on every machine,
+    /// and it can be done ahead while a network trains.
     ///
     /// # Errors
-    /// [`CloudsError`] if a cloud has another number of points than the network wants, or one that is not finite.
+    /// [`CloudsError`] if a cloud has another number of points than the network wants, or one that
+    /// is not finite.
     pub fn new(
         clouds: &[&[Point]],
         config: &ActPcConfig,

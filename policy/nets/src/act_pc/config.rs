@@ -10,7 +10,8 @@ use crate::act::{ActConfig, ActPreset, ActionError};
 pub enum ActPcPreset {
     /// ACT as published, with point tokens instead of image tokens.
     Paper,
-    /// PointCloudMatters' values: more points and tokens, narrow feed-forward layers, squared errors.
+    /// PointCloudMatters' values: more points and tokens, narrow feed-forward layers, squared
+    /// errors.
     PointCloudMatters,
     /// For quick work: half the width, chunks of 50 steps, few tokens.
     Small,
@@ -20,8 +21,8 @@ pub enum ActPcPreset {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActPcConfig {
-    /// The transformer, its latent and its chunk. The cameras are those whose depth makes the cloud; the size of their
-    /// colour images does not matter.
+    /// The transformer, its latent and its chunk. The cameras are those whose depth makes the
+    /// cloud; the size of their colour images does not matter.
     pub act: ActConfig,
     /// Points in the cloud.
     pub points: i64,
@@ -29,7 +30,8 @@ pub struct ActPcConfig {
     pub tokens: i64,
     /// Points around each centre that its token tells of.
     pub neighbours: i64,
-    /// Whether tokens are made before the features of the points instead of from them (`pre_sample`).
+    /// Whether tokens are made before the features of the points instead of from them
+    /// (`pre_sample`).
     pub pre_sample: bool,
     /// What the loss counts of an action's error.
     pub action_error: ActionError,

@@ -1,7 +1,8 @@
-//! ACT-PC as inference runs it: made once from a trained network, with the same answers but for rounding.
+//! ACT-PC as inference runs it: made once from a trained network, with the same answers but for
+//! rounding.
 //!
-//! Normalisations go into the layers before them. The one before the greatest of the neighbours is a scale, which the layer
-//! takes, and a shift, which can wait until the greatest is found.
+//! Normalisations go into the layers before them. The one before the greatest of the neighbours is
+//! a scale, which the layer takes, and a shift, which can wait until the greatest is found.
 
 use tch::{Kind, TchError, Tensor};
 
@@ -29,7 +30,8 @@ pub struct FoldedActPc {
 }
 
 impl FoldedActPc {
-    /// The network that answers as `network` does, computing in the precision `kind`, where `network` is.
+    /// The network that answers as `network` does, computing in the precision `kind`, where
+    /// `network` is.
     ///
     /// # Errors
     /// The network library's.
@@ -72,7 +74,8 @@ impl FoldedActPc {
         })
     }
 
-    /// The chunk for an observation, as [`ActPc::infer`] gives it: `(batch, steps, action)`, normalised, single precision.
+    /// The chunk for an observation, as [`ActPc::infer`] gives it: `(batch, steps, action)`,
+    /// normalised, single precision.
     ///
     /// `state` is `(batch, state)`.
     ///
@@ -105,8 +108,8 @@ impl FoldedActPc {
         Ok(x)
     }
 
-    /// The greatest of what the layer makes of each neighbour's place relative to the centre and its features; all are
-    /// `(rows, ..)`.
+    /// The greatest of what the layer makes of each neighbour's place relative to the centre and
+    /// its features; all are `(rows, ..)`.
     fn group(
         &self,
         points: &Tensor,

@@ -1,8 +1,10 @@
-//! ACT-PC: ACT that sees a point cloud instead of images, with PointCloudMatters' tokens (Zhu et al. 2024).
+//! ACT-PC: ACT that sees a point cloud instead of images, with PointCloudMatters' tokens (Zhu et
+//! al. 2024).
 //!
-//! The transformer, its latent and its loss are ACT's, with LeRobot's parameter names; the tokens' parameters have
-//! PointCloudMatters' names below `model`. States and actions are normalised, points are in metres. Tokens of the encoder:
-//! the latent, the state, then the points' in the order of their sampling.
+//! The transformer, its latent and its loss are ACT's, with LeRobot's parameter names; the tokens'
+//! parameters have PointCloudMatters' names below `model`. States and actions are normalised,
+//! points are in metres. Tokens of the encoder: the latent, the state, then the points' in the
+//! order of their sampling.
 //!
 //! Source: reference note on policies, section 4.
 
@@ -40,7 +42,8 @@ pub struct ActPc {
 pub struct PointLosses {
     /// Mean error of the normalised actions, as the configuration counts it.
     pub action: Tensor,
-    /// Kullback-Leibler divergence of the latent from the standard normal; zero without a variational encoder.
+    /// Kullback-Leibler divergence of the latent from the standard normal; zero without a
+    /// variational encoder.
     pub kl: Tensor,
     /// `action + kl_weight * kl`: what is minimised.
     pub total: Tensor,
@@ -49,7 +52,8 @@ pub struct PointLosses {
 impl ActPc {
     /// Builds the network of `config`, which has no [`ActPcConfig::defect`], from `source`.
     ///
-    /// The variational encoder is left out if the source has nothing of it; the network can then infer but not train.
+    /// The variational encoder is left out if the source has nothing of it; the network can then
+    /// infer but not train.
     ///
     /// # Errors
     /// [`ParameterError`] if a tensor is missing, left over or of another shape.
@@ -118,7 +122,8 @@ impl ActPc {
             .train(&EncoderInput { tokens, position }, state, demonstration)
     }
 
-    /// The loss of `predicted` against `actions`, both `(batch, steps, action)`; `is_pad` is `(batch, steps)`.
+    /// The loss of `predicted` against `actions`, both `(batch, steps, action)`; `is_pad` is
+    /// `(batch, steps)`.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.

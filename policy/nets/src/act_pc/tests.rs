@@ -1,4 +1,5 @@
-//! ACT-PC's tokens against the same computed by hand in double precision, and what the network promises.
+//! ACT-PC's tokens against the same computed by hand in double precision, and what the network
+//! promises.
 
 use std::collections::BTreeMap;
 
@@ -97,7 +98,8 @@ impl Plain {
         })
     }
 
-    /// The greatest over the neighbours of what the layer makes of relative place and features, each pair by itself.
+    /// The greatest over the neighbours of what the layer makes of relative place and features,
+    /// each pair by itself.
     fn token(&self, centre: &[f64], around: &[(Vec<f64>, Vec<f64>)]) -> Vec<f64> {
         let of_pair = |(place, features): &(Vec<f64>, Vec<f64>)| {
             let relative = place.iter().zip(centre).map(|(p, c)| p - c);
@@ -259,7 +261,8 @@ fn training_moves_the_statistics_and_reaches_the_point_net() {
         .losses(&predicted, latent.as_ref(), &actions, demonstration.is_pad)
         .unwrap();
     parts.total.backward();
-    // What the first layer makes of the points, each of the two clouds the same: a hundredth of the way to its mean.
+    // What the first layer makes of the points, each of the two clouds the same: a hundredth of the
+    // way to its mean.
     let weight = parameters.get("model.backbone.conv1.0.weight").unwrap();
     let mean = clouds.points.matmul(&weight.transpose(0, 1)).mean_dim(
         [0, 1].as_slice(),

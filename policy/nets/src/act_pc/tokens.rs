@@ -66,10 +66,11 @@ impl PointTokens {
         Ok((tokens, position))
     }
 
-    /// The greatest of what the layer makes of each neighbour's place relative to the centre and its features.
+    /// The greatest of what the layer makes of each neighbour's place relative to the centre and
+    /// its features.
     ///
-    /// The layer is linear, so its part for the centre's place is computed once a centre and its part for a point once a
-    /// point, not once for every pair.
+    /// The layer is linear, so its part for the centre's place is computed once a centre and its
+    /// part for a point once a point, not once for every pair.
     fn group(
         &self,
         points: &Tensor,
@@ -108,7 +109,8 @@ pub(super) fn pick(values: &Tensor, indices: &Tensor) -> Result<Tensor, TchError
     values.f_gather(1, &indices, false)
 }
 
-/// Sine positions in space of `centres` `(batch, tokens, 3)`, in metres, as `(batch, tokens, width)`.
+/// Sine positions in space of `centres` `(batch, tokens, 3)`, in metres, as `(batch, tokens,
+/// width)`.
 ///
 /// A third of the width for each axis: first the sines, then the cosines; what is left is zero.
 pub(super) fn space_position(centres: &Tensor, width: i64) -> Result<Tensor, TchError> {

@@ -45,7 +45,8 @@ pub struct ActPcCheckpoint {
     pub recipe: Recipe,
 }
 
-/// Saves a policy into `folder`, which is made if it is not there, without what only training needs.
+/// Saves a policy into `folder`, which is made if it is not there, without what only training
+/// needs.
 ///
 /// # Errors
 /// [`CheckpointError`] if a file cannot be written.

@@ -12,7 +12,8 @@ use super::error::{Cause, CheckpointError};
 use super::tensors::{self, Plain};
 use crate::act::{BACKBONE_PREFIX, check_frozen_backbone};
 
-/// What torchvision's file has that a backbone has no use for: its classifier, and a count of each normalisation.
+/// What torchvision's file has that a backbone has no use for: its classifier, and a count of each
+/// normalisation.
 const NOT_OF_THE_BACKBONE: [&str; 2] = ["fc.weight", "fc.bias"];
 const COUNT: &str = ".num_batches_tracked";
 
@@ -24,13 +25,13 @@ pub struct BackboneWeights {
 
 impl BackboneWeights {
     /// Reads `path`: a safetensors file with torchvision's names of ResNet-18 (`conv1.weight` to
-    /// `layer4.1.bn2.running_var`; its classifier is not read), or the folder of a policy in LeRobot's form, whose backbone
-    /// is taken.
+    /// `layer4.1.bn2.running_var`; its classifier is not read), or the folder of a policy in
+    /// LeRobot's form, whose backbone is taken.
     ///
     /// # Errors
-    /// [`CheckpointError`] naming the file and the tensor: one that is missing, left over, of another shape, not finite, or
-    /// a negative variance; what to do instead if the file is one of torch's own, a policy's without its folder, or of a backbone
-    /// with group normalisation.
+    /// [`CheckpointError`] naming the file and the tensor: one that is missing, left over, of
+    /// another shape, not finite, or a negative variance; what to do instead if the file is one of
+    /// torch's own, a policy's without its folder, or of a backbone with group normalisation.
     pub fn load(path: &Path) -> Result<Self, CheckpointError> {
         let (file, prefix) = if path.is_dir() {
             (path.join(WEIGHTS), BACKBONE_PREFIX)
@@ -79,7 +80,8 @@ impl BackboneWeights {
     }
 }
 
-/// The error of reading `file`, or a better one if the file is one of torch's own: an archive, or, of old, a pickle.
+/// The error of reading `file`, or a better one if the file is one of torch's own: an archive, or,
+/// of old, a pickle.
 fn explained(error: CheckpointError, file: &Path) -> CheckpointError {
     const ARCHIVE: &[u8] = b"PK\x03\x04";
     const PICKLE: &[u8] = b"\x80\x02";

@@ -1,4 +1,5 @@
-//! What the checkpoints of all policies that see point clouds have in common: weights, statistics, the cloud's recipe.
+//! What the checkpoints of all policies that see point clouds have in common: weights, statistics,
+//! the cloud's recipe.
 
 use std::collections::BTreeMap;
 use std::path::Path;

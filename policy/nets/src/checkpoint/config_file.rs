@@ -14,10 +14,12 @@ const ACTION: &str = "action";
 
 /// The backbone as LeRobot has it, its normalisation frozen.
 const RESNET: &str = "resnet18";
-/// The one whose group normalisation LeRobot does not have. Its keys are the other's but for two that LeRobot can do
-/// without, so the name has to be one that LeRobot refuses: under its own it would load the weights and answer nonsense.
+/// The one whose group normalisation LeRobot does not have. Its keys are the other's but for two
+/// that LeRobot can do without, so the name has to be one that LeRobot refuses: under its own it
+/// would load the weights and answer nonsense.
 const GROUP_NORM_RESNET: &str = "group_norm_resnet18";
-/// What follows either name where the last stages are left out, and their number; LeRobot refuses these too.
+/// What follows either name where the last stages are left out, and their number; LeRobot refuses
+/// these too.
 const STAGES_SUFFIX: &str = "_stages";
 
 /// Kind and shape of a feature.
@@ -89,7 +91,8 @@ pub(super) fn normalisation() -> Value {
     json!({"VISUAL": "MEAN_STD", "STATE": "MEAN_STD", "ACTION": "MEAN_STD"})
 }
 
-/// The text of `config.json`. Decoder layers whose output does not matter are left out: LeRobot would use the last.
+/// The text of `config.json`. Decoder layers whose output does not matter are left out: LeRobot
+/// would use the last.
 pub(super) fn write(config: &ActConfig) -> Value {
     let [inputs, outputs] = features(config);
     json!({
@@ -131,13 +134,15 @@ pub(super) fn write(config: &ActConfig) -> Value {
 
 /// The network that `text` and, where there is one, our own recipe describe.
 ///
-/// `camera_order` is the recipe's, since JSON objects have none; without it cameras are taken in the order of their names.
+/// `camera_order` is the recipe's, since JSON objects have none; without it cameras are taken in
+/// the order of their names.
 pub(super) fn read(
     text: &str,
     variants: Variants,
     camera_order: Option<&[String]>,
 ) -> Result<ActConfig, Cause> {
-    // The kind first: another policy's file lacks our fields, and that is not what is wrong with it.
+    // The kind first: another policy's file lacks our fields, and that is not what is wrong with
+    // it.
     let document: Value = serde_json::from_str(text).map_err(Cause::Json)?;
     let kind = document["type"].as_str().unwrap_or("").to_owned();
     if kind != "act" {
@@ -248,8 +253,8 @@ fn backbone_name(config: &ActConfig) -> String {
     }
 }
 
-/// The backbone's normalisation by its name and, where there is one, by the recipe, and its stages. Files from before the
-/// second name have the first, and only the recipe tells.
+/// The backbone's normalisation by its name and, where there is one, by the recipe, and its stages.
+/// Files from before the second name have the first, and only the recipe tells.
 fn backbone(
     file: &ConfigFile,
     variants: Variants,

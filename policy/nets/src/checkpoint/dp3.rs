@@ -1,4 +1,5 @@
-//! DP3 in a folder: `config.json` with the network and how its clouds are made, weights, limits, and `trocar.json`.
+//! DP3 in a folder: `config.json` with the network and how its clouds are made, weights, limits,
+//! and `trocar.json`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -108,7 +109,8 @@ pub fn load_dp3(folder: &Path, device: Device) -> Result<Dp3Checkpoint, Checkpoi
     })
 }
 
-/// The policy steps before the newest observation in which the policy in `folder`, of this `recipe`, wants to have observed.
+/// The policy steps before the newest observation in which the policy in `folder`, of this
+/// `recipe`, wants to have observed.
 pub(crate) fn history_steps(folder: &Path, recipe: &Recipe) -> Result<u64, CheckpointError> {
     let observations = read_config(folder, recipe)?.network.n_obs_steps;
     Ok(recipe.policy_steps_before(length(observations)))

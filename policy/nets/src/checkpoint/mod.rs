@@ -1,7 +1,7 @@
 //! Checkpoints: a folder as LeRobot 0.4 and later writes it, and our `trocar.json` beside it.
 //!
-//! `config.json` is the architecture, `model.safetensors` the weights, `policy_preprocessor.json` and
-//! `policy_postprocessor.json` name the statistics. Nothing in the folder can run code.
+//! `config.json` is the architecture, `model.safetensors` the weights, `policy_preprocessor.json`
+//! and `policy_postprocessor.json` name the statistics. Nothing in the folder can run code.
 
 mod act_pc;
 mod backbone;
@@ -161,7 +161,8 @@ pub fn load(folder: &Path, device: Device) -> Result<Checkpoint, CheckpointError
     })
 }
 
-/// The network must have the inputs and outputs of the recipe's arms and kind of action; of one arm without a recipe.
+/// The network must have the inputs and outputs of the recipe's arms and kind of action; of one arm
+/// without a recipe.
 fn check_widths(config: &ActConfig, recipe: Option<&Recipe>) -> Result<(), Cause> {
     let arms = recipe.map_or(1, |recipe| recipe.arms);
     let of_arm = recipe.and_then(|recipe| action_dim(&recipe.action_representation));
@@ -224,7 +225,8 @@ fn there(read: Result<String, CheckpointError>) -> Result<Option<String>, Checkp
     }
 }
 
-/// The kind of the policy in `folder`, by its `config.json`; none if the file is not there or does not say it.
+/// The kind of the policy in `folder`, by its `config.json`; none if the file is not there or does
+/// not say it.
 ///
 /// # Errors
 /// [`CheckpointError`] if the file cannot be read or is no JSON.

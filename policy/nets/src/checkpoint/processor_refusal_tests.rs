@@ -1,4 +1,5 @@
-//! Processor files, statistics and recipes that LeRobot, or a longer run, would take for something else than what is done here.
+//! Processor files, statistics and recipes that LeRobot, or a longer run, would take for something
+//! else than what is done here.
 
 use super::refusal_tests::{refused_with, whole};
 use super::tests::{config, recipe, refused, statistics};

@@ -1,4 +1,5 @@
-//! LeRobot's processor files: the normaliser before the network, the un-normaliser after it, and their statistics.
+//! LeRobot's processor files: the normaliser before the network, the un-normaliser after it, and
+//! their statistics.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -121,7 +122,8 @@ pub(super) fn read(
 
 type StateFile = (std::path::PathBuf, BTreeMap<String, Plain>);
 
-/// The statistics file of the step `registry_name` in the processor file `name`, which must do what is done here.
+/// The statistics file of the step `registry_name` in the processor file `name`, which must do what
+/// is done here.
 fn state_of(
     folder: &Path,
     name: &str,
@@ -157,8 +159,8 @@ fn state_of(
     Ok((state_file, values))
 }
 
-/// What LeRobot reads of a step must be what is done here: no features of other names, means and deviations with the usual
-/// epsilon, shapes as in `config`.
+/// What LeRobot reads of a step must be what is done here: no features of other names, means and
+/// deviations with the usual epsilon, shapes as in `config`.
 fn check_step(step: &Value, config: &ActConfig) -> Result<(), Cause> {
     let of_step = &step["config"];
     let unsupported = |field: String, value: &Value, expected: &Value| Cause::Unsupported {
@@ -223,7 +225,8 @@ pub(super) fn statistics(
         .map_or(Ok(found), |text| Err(defect(text)))
 }
 
-/// Images are normalised with ImageNet's statistics; a checkpoint with others would silently see other colours.
+/// Images are normalised with ImageNet's statistics; a checkpoint with others would silently see
+/// other colours.
 fn check_image(values: &BTreeMap<String, Plain>, camera: &str) -> Result<(), Cause> {
     for (name, expected) in [("mean", IMAGENET_MEAN), ("std", IMAGENET_STD)] {
         let found = values

@@ -136,7 +136,8 @@ pub enum AggregationName {
     Ensemble,
     /// Each chunk is played to its end, then the newest one.
     WholeChunk,
-    /// Receding horizon: the newest chunk takes over as soon as it arrives, and is left for the next one.
+    /// Receding horizon: the newest chunk takes over as soon as it arrives, and is left for the
+    /// next one.
     Newest,
 }
 
@@ -166,14 +167,15 @@ pub struct Recipe {
     /// How many arms the network sees and commands.
     #[serde(default = "one_arm")]
     pub arms: usize,
-    /// What the network's actions mean: [`trocar_data::relative_action::REPRESENTATION`], or, of ACT,
-    /// [`trocar_data::relative_action::ABSOLUTE_REPRESENTATION`].
+    /// What the network's actions mean: [`trocar_data::relative_action::REPRESENTATION`], or, of
+    /// ACT, [`trocar_data::relative_action::ABSOLUTE_REPRESENTATION`].
     pub action_representation: String,
     /// Time between two steps of a chunk, ns.
     pub step_ns: u64,
     /// Steps after which the policy should be asked again.
     pub query_every_steps: u32,
-    /// How the policy's overlapping chunks should be turned into one target, unless the user says otherwise.
+    /// How the policy's overlapping chunks should be turned into one target, unless the user says
+    /// otherwise.
     pub aggregation: RecommendedAggregation,
     /// The cameras, in the order in which observations bring their frames.
     pub cameras: Vec<RecordedCamera>,
@@ -193,7 +195,8 @@ pub struct Recipe {
 }
 
 impl Recipe {
-    /// How many policy steps ([`POLICY_STEP_NS`]) the oldest of so many `observations`, a step of the recipe apart, is before the newest.
+    /// How many policy steps ([`POLICY_STEP_NS`]) the oldest of so many `observations`, a step of
+    /// the recipe apart, is before the newest.
     pub(crate) const fn policy_steps_before(&self, observations: usize) -> u64 {
         let span_ns = (observations as u64).saturating_sub(1) * self.step_ns;
         (span_ns + POLICY_STEP_NS / 2) / POLICY_STEP_NS

@@ -1,5 +1,5 @@
-//! Checkpoints that are whole but not for this program, or whose parts are not for each other: each is refused for its own
-//! reason, and the reason names what would do.
+//! Checkpoints that are whole but not for this program, or whose parts are not for each other: each
+//! is refused for its own reason, and the reason names what would do.
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -1,4 +1,5 @@
-//! Safetensors files: tensors by key, stored in half or single precision, always single precision in memory.
+//! Safetensors files: tensors by key, stored in half or single precision, always single precision
+//! in memory.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -108,7 +109,8 @@ fn values_of(view: &TensorView<'_>) -> Option<Vec<f32>> {
     }
 }
 
-/// Writes `tensors` to `file`, by way of a file beside it, so that a cut-off leaves no half file behind.
+/// Writes `tensors` to `file`, by way of a file beside it, so that a cut-off leaves no half file
+/// behind.
 pub(super) fn write(
     file: &Path,
     tensors: &BTreeMap<String, Plain>,
@@ -179,7 +181,8 @@ impl Plain {
         })
     }
 
-    /// The tensor on `device`. Filters have their channels last in memory, as the images that meet them.
+    /// The tensor on `device`. Filters have their channels last in memory, as the images that meet
+    /// them.
     pub(crate) fn to_tensor(&self, device: Device) -> Result<Tensor, TchError> {
         let shape: Vec<i64> = self
             .shape

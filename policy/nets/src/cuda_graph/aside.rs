@@ -4,7 +4,8 @@ use tch::TchError;
 
 use super::functions::{Stream, is_current, one_at_a_time, synchronise};
 
-/// A stream of libtorch's pool as this thread's current one, until it is dropped: the default stream can't be captured.
+/// A stream of libtorch's pool as this thread's current one, until it is dropped: the default
+/// stream can't be captured.
 #[derive(Debug)]
 pub(super) struct SideStream {
     pub(super) device: i32,

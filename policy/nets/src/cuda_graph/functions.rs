@@ -1,7 +1,8 @@
-//! What is needed of libtorch's CUDA graphs, which are C++: `shim.cpp` beside this, as functions that Rust may call as they are.
+//! What is needed of libtorch's CUDA graphs, which are C++: `shim.cpp` beside this, as functions
+//! that Rust may call as they are.
 //!
-//! Whether there is CUDA shows in the running process: the libtorch that a program was linked with need not have it. Without, each
-//! function says so.
+//! Whether there is CUDA shows in the running process: the libtorch that a program was linked with
+//! need not have it. Without, each function says so.
 
 #![expect(
     unsafe_code,
@@ -19,21 +20,22 @@ use tch::{Device, TchError};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stream(*mut c_void);
 
-/// An `at::cuda::CUDAGraph`, of which libtorch keeps the address. Unless it is [deleted](Self::delete) it stays for as long as the
-/// process.
+/// An `at::cuda::CUDAGraph`, of which libtorch keeps the address. Unless it is
+/// [deleted](Self::delete) it stays for as long as the process.
 #[repr(transparent)]
 #[derive(Debug)]
 pub(super) struct Object(NonNull<c_void>);
 
-// SAFETY: a graph belongs to no thread; CUDA asks that one thread at a time uses it, and it is neither copied nor shared.
+// SAFETY: a graph belongs to no thread; CUDA asks that one thread at a time uses it, and it is
+// neither copied nor shared.
 unsafe impl Send for Object {}
 
 /// Null, or why it failed, which stays until this thread's next failure.
 #[repr(transparent)]
 struct Answer(*const c_char);
 
-// SAFETY: the types are those of `shim.cpp`, which catches exceptions and asks whether there is CUDA. Streams and objects come from
-// it alone.
+// SAFETY: the types are those of `shim.cpp`, which catches exceptions and asks whether there is
+// CUDA. Streams and objects come from it alone.
 unsafe extern "C" {
     safe fn trocar_allow_tf32_products();
     safe fn trocar_cuda_device() -> i32;
@@ -63,25 +65,28 @@ impl Answer {
     }
 }
 
-/// libtorch keeps a list of all captures without a lock, and waiting for the whole device invalidates those in progress: graphs
-/// are captured and dropped one at a time.
+/// libtorch keeps a list of all captures without a lock, and waiting for the whole device
+/// invalidates those in progress: graphs are captured and dropped one at a time.
 pub(super) fn one_at_a_time() -> MutexGuard<'static, ()> {
     static ONE: Mutex<()> = Mutex::new(());
     ONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Has threads that wait for a device sleep instead of asking it over and over, if there is CUDA here.
+/// Has threads that wait for a device sleep instead of asking it over and over, if there is CUDA
+/// here.
 pub fn sleep_while_waiting() {
     trocar_cuda_sleep_while_waiting();
 }
 
-/// Has matrix products of single precision on CUDA round their factors to TF32 (10 bits of mantissa; sums stay in single precision), as
-/// cuDNN's convolutions do unasked: for the whole process from now on, and nothing on the CPU.
+/// Has matrix products of single precision on CUDA round their factors to TF32 (10 bits of
+/// mantissa; sums stay in single precision), as cuDNN's convolutions do unasked: for the whole
+/// process from now on, and nothing on the CPU.
 pub fn allow_tf32_products() {
     trocar_allow_tf32_products();
 }
 
-/// Whether `device` is this thread's current one, the only one that libtorch captures. None is without CUDA.
+/// Whether `device` is this thread's current one, the only one that libtorch captures. None is
+/// without CUDA.
 pub(super) fn is_current(device: i32) -> bool {
     trocar_cuda_device() == device
 }
@@ -123,7 +128,8 @@ impl Stream {
         trocar_cuda_is_capturing(self)
     }
 
-    /// Abandons a capture that failed, and its error, which the next call of libtorch would take for its own.
+    /// Abandons a capture that failed, and its error, which the next call of libtorch would take
+    /// for its own.
     pub(super) fn abandon(self) {
         trocar_cuda_abandon(self);
     }
@@ -136,8 +142,8 @@ impl Object {
         object.ok_or_else(|| TchError::Torch("libtorch made no graph".to_owned()))
     }
 
-    /// From here on the thread's current stream, which must not be the default one, is captured. What other threads do meanwhile does
-    /// not enter the capture.
+    /// From here on the thread's current stream, which must not be the default one, is captured.
+    /// What other threads do meanwhile does not enter the capture.
     pub(super) fn begin(&mut self) -> Result<(), TchError> {
         trocar_graph_begin(self).checked()
     }
@@ -157,7 +163,8 @@ impl Object {
         trocar_graph_replay(self).checked()
     }
 
-    /// Its capture has ended, or never began: otherwise libtorch would end a capture that there is not.
+    /// Its capture has ended, or never began: otherwise libtorch would end a capture that there is
+    /// not.
     pub(super) fn delete(self) {
         trocar_graph_delete(self);
     }

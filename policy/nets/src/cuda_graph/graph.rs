@@ -18,9 +18,10 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// What `work` has `device` do, and what it answered, which each [`Self::replay`] overwrites. None if the libraries here
-    /// have no CUDA, `device` is not the thread's current one, or this work can't be captured. `work` runs twice before, so that
-    /// what the libraries set up at first is done.
+    /// What `work` has `device` do, and what it answered, which each [`Self::replay`] overwrites.
+    /// None if the libraries here have no CUDA, `device` is not the thread's current one, or this
+    /// work can't be captured. `work` runs twice before, so that what the libraries set up at first
+    /// is done.
     pub(super) fn capture<T>(
         device: i32,
         mut work: impl FnMut() -> Result<T, TchError>,
@@ -34,8 +35,8 @@ impl Graph {
         Ok(Self::captured_on(&aside, work).ok())
     }
 
-    /// What `work` would have the device do, and what it answered; it does nothing of it yet. The error says why it can't be
-    /// captured; everything then is as before.
+    /// What `work` would have the device do, and what it answered; it does nothing of it yet. The
+    /// error says why it can't be captured; everything then is as before.
     ///
     /// Whatever the libraries set up at first must be done, on `aside`.
     pub(super) fn captured_on<T>(
@@ -67,7 +68,8 @@ impl Graph {
         Ok((graph, answer?))
     }
 
-    /// Has the generator of random numbers, which takes its draws for captured, see the end of a capture.
+    /// Has the generator of random numbers, which takes its draws for captured, see the end of a
+    /// capture.
     fn let_draw(aside: &SideStream) -> Result<(), TchError> {
         let mut object = Object::new()?;
         object.begin()?;
@@ -84,7 +86,8 @@ impl Graph {
         self.object.launch(self.device)
     }
 
-    /// The same for work that draws random numbers: it draws on from where the generator of its device stands.
+    /// The same for work that draws random numbers: it draws on from where the generator of its
+    /// device stands.
     pub(super) fn replay_drawing(&mut self) -> Result<(), TchError> {
         self.object.replay()
     }

@@ -1,4 +1,5 @@
-//! `shim.cpp` in a process of its own with a mock of libtorch's CUDA library, as a libtorch with CUDA is preloaded.
+//! `shim.cpp` in a process of its own with a mock of libtorch's CUDA library, as a libtorch with
+//! CUDA is preloaded.
 
 use std::env;
 use std::ffi::OsString;
@@ -35,8 +36,8 @@ const CALLS: [&str; 16] = [
     "~CUDAGraph",
 ];
 
-/// Calls that fail, and what is called after them: a capture that failed is abandoned, and the generator of random numbers sees the
-/// end of another, unless that fails too.
+/// Calls that fail, and what is called after them: a capture that failed is abandoned, and the
+/// generator of random numbers sees the end of another, unless that fails too.
 const FAILING: [(&str, &[&str]); 6] = [
     (
         "CUDAGraph(false)",
@@ -73,7 +74,8 @@ const FAILING: [(&str, &[&str]); 6] = [
     ("cudaGraphLaunch", &["cudaDeviceSynchronize", "~CUDAGraph"]),
 ];
 
-/// A graph is captured, replayed both ways and dropped. Tensors are the CPU's, which computes during the capture, of zeros.
+/// A graph is captured, replayed both ways and dropped. Tensors are the CPU's, which computes
+/// during the capture, of zeros.
 fn captured_and_replayed() -> Result<(), TchError> {
     let one = [Tensor::ones([1], (Kind::Float, Device::Cpu))];
     let capture = Capture::begin(Device::Cuda(0))?.unwrap();
@@ -110,7 +112,8 @@ fn calls(library: &Path, failing: &str) -> Vec<String> {
     lines.map(str::to_owned).collect()
 }
 
-/// Weak references are set when the program starts, and libtorch's exceptions and CUDA's codes become errors.
+/// Weak references are set when the program starts, and libtorch's exceptions and CUDA's codes
+/// become errors.
 #[test]
 fn calls_reach_a_preloaded_libtorch() {
     if let Ok(failing) = env::var(FAILS) {

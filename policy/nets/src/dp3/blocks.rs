@@ -34,7 +34,8 @@ impl Convolution {
     }
 
     pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
-        // A few steps by thousands of channels: an accelerator is quicker with one product of matrices.
+        // A few steps by thousands of channels: an accelerator is quicker with one product of
+        // matrices.
         if x.device().is_cuda() {
             return self.product(x);
         }
@@ -92,8 +93,8 @@ impl Doubling {
         x.f_conv_transpose1d(&self.weight, Some(&self.bias), 2, 1, 0, 1, 1)
     }
 
-    /// The same as one product of matrices: of step `t`, the kernel's places 1 and 2 go to the steps `2 t` and `2 t + 1`, 3 and 0 to the
-    /// even one after and the odd one before.
+    /// The same as one product of matrices: of step `t`, the kernel's places 1 and 2 go to the
+    /// steps `2 t` and `2 t + 1`, 3 and 0 to the even one after and the odd one before.
     pub(super) fn product(&self, x: &Tensor) -> Result<Tensor, TchError> {
         let &[batch, channels, steps] = x.size().as_slice() else {
             return Err(TchError::Shape("steps of three dimensions".to_owned()));
@@ -158,7 +159,8 @@ impl ConvolutionBlock {
     }
 }
 
-/// Two convolution blocks around a scale and a shift that the condition gives each channel, and what went in added.
+/// Two convolution blocks around a scale and a shift that the condition gives each channel, and
+/// what went in added.
 #[derive(Debug)]
 pub(super) struct ResidualBlock {
     pub(super) blocks: [ConvolutionBlock; 2],

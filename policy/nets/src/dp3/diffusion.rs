@@ -1,8 +1,9 @@
-//! The diffusion: how noise is added in training, and how it is taken away again in few steps (DDIM).
+//! The diffusion: how noise is added in training, and how it is taken away again in few steps
+//! (DDIM).
 //!
-//! The network predicts the clean sample. Published schedule: squared cosine, variances of a step capped at 0.999; steps
-//! of inference evenly apart and ending at 0; the noise is derived from the sample before it is cut to ±1, and nothing
-//! random is added.
+//! The network predicts the clean sample. Published schedule: squared cosine, variances of a step
+//! capped at 0.999; steps of inference evenly apart and ending at 0; the noise is derived from the
+//! sample before it is cut to ±1, and nothing random is added.
 
 use core::f64::consts::FRAC_PI_2;
 
@@ -67,7 +68,8 @@ impl Diffusion {
         })
     }
 
-    /// `clean` `(batch, ..)` with `noise` as each one's `timestep` (whole numbers, `(batch)`) has it.
+    /// `clean` `(batch, ..)` with `noise` as each one's `timestep` (whole numbers, `(batch)`) has
+    /// it.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
@@ -88,8 +90,8 @@ impl Diffusion {
         signal.f_add(&noise.f_mul(&lost.f_sqrt()?)?)
     }
 
-    /// The sample that `predict` leads to from `noise`; `predict` gets the noisy sample and the timestep, and answers
-    /// with the clean one.
+    /// The sample that `predict` leads to from `noise`; `predict` gets the noisy sample and the
+    /// timestep, and answers with the clean one.
     ///
     /// # Errors
     /// Those of `predict`, and the network library's.
@@ -174,7 +176,8 @@ mod tests {
 
     #[test]
     fn noise_that_was_added_is_taken_away_by_its_own_prediction() {
-        // One step from the first timestep of inference: x = sqrt(kept) clean + sqrt(1 - kept) noise.
+        // One step from the first timestep of inference: x = sqrt(kept) clean + sqrt(1 - kept)
+        // noise.
         let diffusion = Diffusion::new(100, 1).unwrap();
         let clean = Tensor::from_slice(&[0.5_f32, -0.5]).view([2, 1, 1]);
         let noise = Tensor::from_slice(&[2.0_f32, -1.0]).view([2, 1, 1]);

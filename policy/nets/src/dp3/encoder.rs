@@ -1,4 +1,5 @@
-//! What DP3 makes of an observation: features of the points, whatever their order, and of the state.
+//! What DP3 makes of an observation: features of the points, whatever their order, and of the
+//! state.
 
 use tch::{TchError, Tensor};
 
@@ -50,7 +51,8 @@ impl Encoder {
         })
     }
 
-    /// `points` `(observations, points, 3)` and `state` `(observations, state)` to `(observations, features)`, in the weights' precision.
+    /// `points` `(observations, points, 3)` and `state` `(observations, state)` to `(observations,
+    /// features)`, in the weights' precision.
     pub(super) fn forward(&self, points: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
         let kind = self.state[0].weight.kind();
         let (mut x, state) = (points.f_to_kind(kind)?, &state.f_to_kind(kind)?);

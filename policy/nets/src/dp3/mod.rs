@@ -1,11 +1,12 @@
-//! DP3: diffusion over actions, conditioned on a point cloud and the state (Ze et al. 2024), and its smaller sibling
-//! SimpleDP3, with the published parameter names.
+//! DP3: diffusion over actions, conditioned on a point cloud and the state (Ze et al. 2024), and
+//! its smaller sibling SimpleDP3, with the published parameter names.
 //!
-//! Inputs and outputs are normalised by [`LimitsNormaliser`]; nothing in here knows units. Noise is an argument: with
-//! [`Dp3Config::start_noise`] the same seed gives the same actions for the same observation, which published code does not
-//! do.
+//! Inputs and outputs are normalised by [`LimitsNormaliser`]; nothing in here knows units. Noise is
+//! an argument: with [`Dp3Config::start_noise`] the same seed gives the same actions for the same
+//! observation, which published code does not do.
 //!
-//! Source: reference note on policies, section 5; checked against golden numbers in `tests/golden/`.
+//! Source: reference note on policies, section 5; checked against golden numbers in
+//! `tests/golden/`.
 
 mod blocks;
 mod config;
@@ -41,7 +42,8 @@ pub struct Dp3 {
     parameters: Parameters,
 }
 
-/// What the network sees: as many observations as its configuration says, the newest last, normalised.
+/// What the network sees: as many observations as its configuration says, the newest last,
+/// normalised.
 #[derive(Clone, Copy, Debug)]
 pub struct CloudObservation<'a> {
     /// `(batch, observations, points, 3)`.
@@ -51,8 +53,8 @@ pub struct CloudObservation<'a> {
 }
 
 impl Dp3Config {
-    /// The noise that the diffusion starts from at a policy's `answer`th answer under `seed`: standard normal,
-    /// `(1, horizon, action)`, on the CPU.
+    /// The noise that the diffusion starts from at a policy's `answer`th answer under `seed`:
+    /// standard normal, `(1, horizon, action)`, on the CPU.
     ///
     /// # Errors
     /// The network library's.
@@ -110,10 +112,11 @@ impl Dp3 {
             .forward(&points, &observation.state.f_flatten(0, 1)?)
     }
 
-    /// What the network takes for the clean actions behind `noisy` ones, both `(batch, horizon, action)`.
+    /// What the network takes for the clean actions behind `noisy` ones, both `(batch, horizon,
+    /// action)`.
     ///
-    /// `timestep` is `(batch)`, whole numbers; `condition` holds the features of all observations in one row,
-    /// `(batch, features)`.
+    /// `timestep` is `(batch)`, whole numbers; `condition` holds the features of all observations
+    /// in one row, `(batch, features)`.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
@@ -126,8 +129,8 @@ impl Dp3 {
         self.unet.forward(noisy, timestep, condition)
     }
 
-    /// The actions that `noise` leads to, both `(batch, horizon, action)`; the first is due when the first of the
-    /// observations was taken.
+    /// The actions that `noise` leads to, both `(batch, horizon, action)`; the first is due when
+    /// the first of the observations was taken.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
@@ -153,7 +156,8 @@ impl Dp3 {
     }
 
     /// The loss of training: mean square of what the network gets wrong about the clean `actions`
-    /// `(batch, horizon, action)` under standard normal `noise` at each one's `timestep` (`(batch)`, whole numbers).
+    /// `(batch, horizon, action)` under standard normal `noise` at each one's `timestep`
+    /// (`(batch)`, whole numbers).
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.

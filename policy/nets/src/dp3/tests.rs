@@ -1,4 +1,5 @@
-//! What DP3 promises beyond the golden numbers: names, sizes, determinism, order of points, training.
+//! What DP3 promises beyond the golden numbers: names, sizes, determinism, order of points,
+//! training.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,5 @@
-//! The U-Net that tells the clean actions from noisy ones, the diffusion's step and what was observed.
+//! The U-Net that tells the clean actions from noisy ones, the diffusion's step and what was
+//! observed.
 
 use tch::{Device, Kind, TchError, Tensor};
 
@@ -109,8 +110,9 @@ impl UNet {
         narrow.forward(&widen.forward(&embedding)?.f_mish()?)
     }
 
-    /// The clean actions `(batch, steps, action)` behind `noisy` ones, by the diffusion's `step` (whole numbers,
-    /// `(batch)`) and the observations' features `(batch, features)`; in single precision, whatever the weights have.
+    /// The clean actions `(batch, steps, action)` behind `noisy` ones, by the diffusion's `step`
+    /// (whole numbers, `(batch)`) and the observations' features `(batch, features)`; in single
+    /// precision, whatever the weights have.
     pub(super) fn forward(
         &self,
         noisy: &Tensor,

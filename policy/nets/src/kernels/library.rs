@@ -1,4 +1,5 @@
-//! NVIDIA's run-time compiler and driver, found when they are needed, and the kernels that they make.
+//! NVIDIA's run-time compiler and driver, found when they are needed, and the kernels that they
+//! make.
 
 #![expect(unsafe_code, reason = "both are libraries of C")]
 
@@ -83,7 +84,8 @@ fn checked(what: &str, code: c_int) -> Result<(), TchError> {
     Err(TchError::Torch(format!("{what} failed with code {code}")))
 }
 
-/// Kernels of the thread's current CUDA device. They stay with it as long as the process lives: recordings have them.
+/// Kernels of the thread's current CUDA device. They stay with it as long as the process lives:
+/// recordings have them.
 #[derive(Debug)]
 pub(super) struct Library {
     functions: Functions,

@@ -1,5 +1,6 @@
-//! Kernels of our own for the training of a ResNet on CUDA in 16 bits: what lies between its convolutions, in as few passes over
-//! the images as there can be. The library takes thrice as many, and half of its time goes into turning layouts.
+//! Kernels of our own for the training of a ResNet on CUDA in 16 bits: what lies between its
+//! convolutions, in as few passes over the images as there can be. The library takes thrice as
+//! many, and half of its time goes into turning layouts.
 
 #![expect(
     unsafe_code,
@@ -196,7 +197,8 @@ impl Kernels {
         Ok((answer, kept))
     }
 
-    /// `affine` of a convolution's output, 3x3 max pooling with stride 2, then ReLU; and the index of each maximum.
+    /// `affine` of a convolution's output, 3x3 max pooling with stride 2, then ReLU; and the index
+    /// of each maximum.
     pub(crate) fn pooled(
         &self,
         convolved: Tensor,
@@ -220,8 +222,8 @@ impl Kernels {
         Ok((answer, which, kept))
     }
 
-    /// The backward pass of [`Self::forward`]: the gradients of what the convolution gave, of scale and bias, and, if there was an
-    /// identity, of that. `answer` is needed if so.
+    /// The backward pass of [`Self::forward`]: the gradients of what the convolution gave, of scale
+    /// and bias, and, if there was an identity, of that. `answer` is needed if so.
     pub(crate) fn backward(
         &self,
         gradient: &Tensor,
@@ -374,8 +376,8 @@ impl Kernels {
         })
     }
 
-    /// Of group normalisation: the maps of the backward pass, and the gradients of scale and bias, from the sums in `part`, which were
-    /// taken over images of the shape `summed`.
+    /// Of group normalisation: the maps of the backward pass, and the gradients of scale and bias,
+    /// from the sums in `part`, which were taken over images of the shape `summed`.
     fn backward_maps(
         &self,
         shape: Shape,
@@ -450,7 +452,8 @@ impl Kernels {
         let blocks = blocks.map(|count| count_u32(length(count)));
         let stream = stream_of(self.device)?;
         const THREADS_OF_BLOCK: c_uint = count_u32(length(THREADS));
-        // SAFETY: each caller gives its kernel the arguments of `backbone.cu`, of tensors whose sizes it has checked or made.
+        // SAFETY: each caller gives its kernel the arguments of `backbone.cu`, of tensors whose
+        // sizes it has checked or made.
         unsafe {
             self.library
                 .launch(kernel, blocks, THREADS_OF_BLOCK, stream, &mut arguments)

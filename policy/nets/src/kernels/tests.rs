@@ -52,7 +52,8 @@ impl Case {
         ]
     }
 
-    /// The answer by the library in double precision, a gradient for it, and the gradients of what is given.
+    /// The answer by the library in double precision, a gradient for it, and the gradients of what
+    /// is given.
     fn by_the_library(self, given: &Given) -> (Tensor, Tensor, Vec<Tensor>) {
         let leaves = given.each_ref().map(|tensor| {
             let tensor = tensor.to_kind(Kind::Double);

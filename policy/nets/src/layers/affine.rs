@@ -99,7 +99,8 @@ impl Affine {
             }
             Self::Torch { weight, bias } => {
                 let mut sum = bias_of(bias, x)?.f_addmm(x, weight)?;
-                // tch 0.24 hands the flag of the fused `_addmm_activation` to the parameter `beta`, so two steps.
+                // tch 0.24 hands the flag of the fused `_addmm_activation` to the parameter `beta`,
+                // so two steps.
                 if rectified { sum.f_relu_() } else { Ok(sum) }
             }
         }

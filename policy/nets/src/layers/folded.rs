@@ -1,7 +1,8 @@
-//! Layers as inference runs them: made once from trained ones, with the same answers but for rounding.
+//! Layers as inference runs them: made once from trained ones, with the same answers but for
+//! rounding.
 //!
-//! What positions add to a projection is part of its bias, since a projection is linear. Values are `(rows, width)`, a row for
-//! every token of every observation.
+//! What positions add to a projection is part of its bias, since a projection is linear. Values are
+//! `(rows, width)`, a row for every token of every observation.
 
 use tch::{TchError, Tensor};
 
@@ -60,7 +61,8 @@ impl SelfAttention {
 }
 
 impl Projections {
-    /// The parts of the packed projection from `first` on: 0 queries, 1 keys, 2 values. The last sees no places.
+    /// The parts of the packed projection from `first` on: 0 queries, 1 keys, 2 values. The last
+    /// sees no places.
     fn new(
         attention: &Attention,
         position: Option<&Tensor>,
@@ -159,8 +161,8 @@ impl CrossAttention {
     }
 }
 
-/// Biases of the named parts of the packed projection, concatenated; true where a part sees the places
-/// `position` `(tokens, width)`.
+/// Biases of the named parts of the packed projection, concatenated; true where a part sees the
+/// places `position` `(tokens, width)`.
 fn placed_bias(
     attention: &Attention,
     position: &Tensor,

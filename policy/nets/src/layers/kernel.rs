@@ -1,4 +1,5 @@
-//! The micro-kernel of convolutions and linear layers: some rows of inputs by a panel of packed weights.
+//! The micro-kernel of convolutions and linear layers: some rows of inputs by a panel of packed
+//! weights.
 
 use pulp::Simd;
 use tch::{TchError, Tensor};
@@ -35,7 +36,8 @@ impl<W: Summing> SimdKernel for InRegisters<W> {
     }
 }
 
-/// `weight` `(outputs, ..)` with the outputs of a panel last: its dimensions, the outputs in two, in this order.
+/// `weight` `(outputs, ..)` with the outputs of a panel last: its dimensions, the outputs in two,
+/// in this order.
 pub(super) fn panels(weight: &Tensor, order: &[i64]) -> Result<Vec<f32>, TchError> {
     let last = weight
         .f_unflatten(0, [-1, dimension(PANEL)])?
@@ -43,7 +45,8 @@ pub(super) fn panels(weight: &Tensor, order: &[i64]) -> Result<Vec<f32>, TchErro
     Vec::try_from(&last.f_contiguous()?.f_view([-1])?)
 }
 
-/// The part `index` of `count` parts of `all`, in whole lines; the last ones may be smaller or nothing.
+/// The part `index` of `count` parts of `all`, in whole lines; the last ones may be smaller or
+/// nothing.
 #[inline(always)]
 pub(super) fn share(all: &[f32], index: usize, count: usize) -> &[f32] {
     assert!(index < count, "part {index} of {count}");
@@ -57,11 +60,11 @@ const STRETCH: usize = 8;
 /// Numbers of a cache line.
 const LINE: usize = 16;
 
-/// Adds the products of each row's numbers with `weight` `(numbers, outputs of a panel)`, one number after the other, and prefetches the
-/// numbers `ahead`.
+/// Adds the products of each row's numbers with `weight` `(numbers, outputs of a panel)`, one
+/// number after the other, and prefetches the numbers `ahead`.
 ///
-/// As many sums as the processor has registers for, with the weights of a number and one number of a row; iterators over them
-/// would keep them in memory instead.
+/// As many sums as the processor has registers for, with the weights of a number and one number of
+/// a row; iterators over them would keep them in memory instead.
 #[inline(always)]
 pub(super) fn accumulate<V: Vectors, const ROWS: usize, const VECTORS: usize>(
     simd: V,

@@ -1,7 +1,8 @@
 //! GEMM on the CPU without libtorch: one thread, single precision.
 //!
-//! Weights are packed once in the order in which the kernel reads them, and bias and ReLU are its epilogue. Each number is the same sum in the same order whatever the processor's vectors: sums over parts of the
-//! inputs, added up one after the other.
+//! Weights are packed once in the order in which the kernel reads them, and bias and ReLU are its
+//! epilogue. Each number is the same sum in the same order whatever the processor's vectors: sums
+//! over parts of the inputs, added up one after the other.
 
 use tch::{TchError, Tensor};
 
@@ -11,8 +12,8 @@ use super::memory;
 use super::vectors::{Processor, Vectors};
 use crate::dimension::{dimension, length};
 
-/// Inputs that are summed on their own before they are added to the others', so that fewer bits are lost and the weights of a panel
-/// stay in the second-level cache.
+/// Inputs that are summed on their own before they are added to the others', so that fewer bits are
+/// lost and the weights of a panel stay in the second-level cache.
 const DEPTH: usize = 512;
 
 /// Rows whose inputs stay in the second-level cache.

@@ -1,9 +1,11 @@
 //! Products of a big matrix of weights with few columns, on the CPU: bound by reading the weights.
 //!
-//! Weights all of which are numbers of half precision lie in memory as such and are widened in registers, exactly; others lie
-//! there in single precision. The arithmetic is the same: in single precision, for each output one sum over the rows in their
-//! order, each product fused with its addition. Weights are packed in panels of 16 outputs; several panels are read at
-//! once, since a core reads several streams faster than one. Needs AVX2 and FMA or AVX-512; other processors use libtorch.
+//! Weights all of which are numbers of half precision lie in memory as such and are widened in
+//! registers, exactly; others lie there in single precision. The arithmetic is the same: in single
+//! precision, for each output one sum over the rows in their order, each product fused with its
+//! addition. Weights are packed in panels of 16 outputs; several panels are read at once, since a
+//! core reads several streams faster than one. Needs AVX2 and FMA or AVX-512; other processors use
+//! libtorch.
 
 mod columns;
 mod kernel;
@@ -40,7 +42,8 @@ pub(crate) struct Narrow {
     rows: usize,
 }
 
-/// Where outputs go: the first, and how far apart those of a column and of the next are, and an output and the next.
+/// Where outputs go: the first, and how far apart those of a column and of the next are, and an
+/// output and the next.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place {
     pub(crate) first: usize,
@@ -78,8 +81,8 @@ impl Narrow {
         self.bias.len()
     }
 
-    /// The matrix by `columns`, and the bias, to where `place` says in `out`, on at most `threads`; their number changes no
-    /// bit.
+    /// The matrix by `columns`, and the bias, to where `place` says in `out`, on at most `threads`;
+    /// their number changes no bit.
     pub(crate) fn apply(
         &self,
         columns: &Columns,

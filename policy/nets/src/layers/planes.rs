@@ -1,8 +1,9 @@
-//! Convolutions on the CPU without the network library: channels last, one thread, single precision.
+//! Convolutions on the CPU without the network library: channels last, one thread, single
+//! precision.
 //!
-//! They are for processors with vectors of at least eight numbers and fused multiply-add; on others, whoever asks uses the
-//! library's. Each number is the same sum in the same order whatever the vectors' width, so processors with AVX2 and with
-//! AVX-512 give the same bits.
+//! They are for processors with vectors of at least eight numbers and fused multiply-add; on
+//! others, whoever asks uses the library's. Each number is the same sum in the same order whatever
+//! the vectors' width, so processors with AVX2 and with AVX-512 give the same bits.
 
 mod direct;
 mod stem;

@@ -8,7 +8,8 @@ const TO_ALL: i32 = 3;
 /// Into the second level and those below.
 const TO_SECOND: i32 = 2;
 
-/// A processor's vectors: eight numbers in single precision or 16, and multiplications fused with additions.
+/// A processor's vectors: eight numbers in single precision or 16, and multiplications fused with
+/// additions.
 pub(super) trait Vectors: Simd {
     /// Numbers in single precision.
     fn single(self, from: &[f32]) -> Self::f32s;
@@ -19,7 +20,8 @@ pub(super) trait Vectors: Simd {
     /// Upper halves of numbers in single precision, with zeros as their lower halves.
     fn brain(self, from: &[u16]) -> Self::f32s;
 
-    /// Asks for the memory at `at` to be brought to the named levels of cache, without waiting for it; it may be anybody's.
+    /// Asks for the memory at `at` to be brought to the named levels of cache, without waiting for
+    /// it; it may be anybody's.
     fn ask<const LEVELS: i32>(self, at: *const i8);
 
     /// Asks for the memory `bytes` after `at`.
@@ -142,7 +144,8 @@ mod x86 {
             let rest = self.splat_u32s(0x7fff << 13);
             let rest = self.and_u32s(cast(self.avx2._mm256_slli_epi32::<13>(low)), rest);
             let normal = self.add_u32s(rest, self.splat_u32s((127 - 15) << 23));
-            // With the least exponent of normal numbers, of which just that number is taken away again.
+            // With the least exponent of normal numbers, of which just that number is taken away
+            // again.
             let least = (127 - 14) << 23;
             let below = self.transmute_f32s_u32s(self.add_u32s(rest, self.splat_u32s(least)));
             let below = self.sub_f32s(below, self.splat_f32s(f32::from_bits(least)));

@@ -38,7 +38,8 @@ pub(super) const fn whole(value: f64) -> usize {
 }
 
 impl Axis {
-    /// `voxels` of `spacing` mm, to be seen at `wanted` mm in windows of `patch` that overlap by `overlap`, laid as MONAI does.
+    /// `voxels` of `spacing` mm, to be seen at `wanted` mm in windows of `patch` that overlap by
+    /// `overlap`, laid as MONAI does.
     pub(super) fn new(
         voxels: usize,
         [spacing, wanted]: [f64; 2],
@@ -105,7 +106,8 @@ pub(super) fn sample(tensor: &Tensor, dim: i64, places: &[f64]) -> Result<Tensor
     pick(&low)?.f_lerp_tensor(&pick(&high)?, &share)
 }
 
-/// Weights of the voxels of a window along an axis, before they are multiplied: a Gaussian whose middle is 1.
+/// Weights of the voxels of a window along an axis, before they are multiplied: a Gaussian whose
+/// middle is 1.
 pub(super) fn gaussian(patch: usize) -> Result<Tensor, TchError> {
     let deviation = 0.125 * real(patch);
     #[expect(

@@ -1,4 +1,5 @@
-//! A segmenter in one safetensors file: weights in half precision, and its settings in the file's description.
+//! A segmenter in one safetensors file: weights in half precision, and its settings in the file's
+//! description.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,6 +1,8 @@
-//! Networks that say which tissue each voxel of a CT is: a 3-D U-Net of our own, or a TorchScript model as MONAI exports them.
+//! Networks that say which tissue each voxel of a CT is: a 3-D U-Net of our own, or a TorchScript
+//! model as MONAI exports them.
 //!
-//! Both see windows of a volume that has the spacing they were trained with, one after another ([`Segmenter::classify`]).
+//! Both see windows of a volume that has the spacing they were trained with, one after another
+//! ([`Segmenter::classify`]).
 
 mod axis;
 mod file;
@@ -94,7 +96,8 @@ impl Segmenter {
 
     /// The TorchScript model in `file`: `(1, 1, x, y, z)` to `(1, classes, x, y, z)`.
     ///
-    /// TorchScript is a program; it computes with tensors only, but a hostile one may use all memory or never end.
+    /// TorchScript is a program; it computes with tensors only, but a hostile one may use all
+    /// memory or never end.
     ///
     /// # Errors
     /// [`CheckpointError`] if the network library can't read it.

@@ -13,7 +13,8 @@ const PATCH_MAX: usize = 512;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Weighting {
-    /// The middle more than the rim: a Gaussian with a deviation of an eighth of the window, as MONAI's.
+    /// The middle more than the rim: a Gaussian with a deviation of an eighth of the window, as
+    /// MONAI's.
     #[default]
     Gaussian,
     /// All alike.
@@ -41,8 +42,8 @@ pub struct SegmenterSettings {
     pub weighting: Weighting,
     /// The table of labels that `classes` are from.
     pub table: String,
-    /// The label of each channel of the output. Without a label 0, a voxel is background where no score is above zero, which is a
-    /// probability of one half.
+    /// The label of each channel of the output. Without a label 0, a voxel is background where no
+    /// score is above zero, which is a probability of one half.
     pub classes: Vec<u16>,
 }
 

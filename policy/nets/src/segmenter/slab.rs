@@ -46,7 +46,8 @@ impl Slab {
         })
     }
 
-    /// Adds the scores `(classes, z, y, x)` of the window at `(x, y)`, whose first slice is the slab's.
+    /// Adds the scores `(classes, z, y, x)` of the window at `(x, y)`, whose first slice is the
+    /// slab's.
     pub(super) fn add(
         &mut self,
         scores: &Tensor,

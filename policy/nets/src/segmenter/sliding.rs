@@ -1,8 +1,10 @@
 //! A volume classified window by window, with sums over a slab of it at a time.
 //!
-//! Scores of overlapping windows are averaged, brought back to the volume's lattice, linear between neighbours, and the class with the
-//! highest wins. The sums are a number a class and voxel, so only a slab of them is kept: as many slices as a window has, and of those a
-//! strip of rows if that is too much. Windows at the edge of two strips are computed for both; the result is the same to the bit.
+//! Scores of overlapping windows are averaged, brought back to the volume's lattice, linear between
+//! neighbours, and the class with the highest wins. The sums are a number a class and voxel, so
+//! only a slab of them is kept: as many slices as a window has, and of those a strip of rows if
+//! that is too much. Windows at the edge of two strips are computed for both; the result is the
+//! same to the bit.
 
 use std::ops::Range;
 
@@ -15,7 +17,8 @@ use super::{SegmentError, Segmenter, VOXELS_MAX};
 use crate::dimension::dimension;
 use hal::count::count_u32;
 
-/// Copies of a slice of scores that are in memory at a time while it is brought back to the volume's lattice.
+/// Copies of a slice of scores that are in memory at a time while it is brought back to the
+/// volume's lattice.
 const PLANES: usize = 6;
 
 /// A CT volume whose axes lead where the model wants them.
@@ -33,10 +36,11 @@ pub struct Image<'a> {
 type TakeSlice<'a> = dyn FnMut(&Slab, usize) -> Result<(), SegmentError> + 'a;
 
 impl Segmenter {
-    /// The class of each voxel of `image`, x fastest: an index into the settings' classes, or [`BACKGROUND`].
+    /// The class of each voxel of `image`, x fastest: an index into the settings' classes, or
+    /// [`BACKGROUND`].
     ///
-    /// `memory_bytes` bounds the sums, not what the network itself needs for a window. After each window `done` gets the number of
-    /// windows so far and of all.
+    /// `memory_bytes` bounds the sums, not what the network itself needs for a window. After each
+    /// window `done` gets the number of windows so far and of all.
     ///
     /// # Errors
     /// [`SegmentError`].
@@ -202,7 +206,8 @@ impl Segmenter {
         weights.f_to_device(self.device)
     }
 
-    /// Gives `take` each slice of the network's `rows` when it is complete, and calls `tell` after each window.
+    /// Gives `take` each slice of the network's `rows` when it is complete, and calls `tell` after
+    /// each window.
     fn strip(
         &self,
         [x, y, z]: &[Axis; 3],

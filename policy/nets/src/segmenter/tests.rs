@@ -1,4 +1,5 @@
-//! Segmenters against MONAI's numbers, against themselves in little memory, and files that are refused.
+//! Segmenters against MONAI's numbers, against themselves in little memory, and files that are
+//! refused.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -81,7 +82,8 @@ fn golden_folder() -> PathBuf {
     std::env::var_os("TROCAR_SEGMENTER").map_or(committed, PathBuf::from)
 }
 
-/// One window, several, and windows larger than the volume; all scores, or the classes that they give in few strips and in many.
+/// One window, several, and windows larger than the volume; all scores, or the classes that they
+/// give in few strips and in many.
 #[test]
 fn a_torchscript_model_gives_what_it_gives_in_monai() {
     let folder = golden_folder();
@@ -143,7 +145,8 @@ fn tiny(patch: usize, seed: u64) -> (UNet, SegmenterSettings) {
     (network, settings([patch; 3], vec![0, 7, 300]))
 }
 
-/// At another spacing the result has the volume's voxels, in strips as in one piece; a plane stays where it is.
+/// At another spacing the result has the volume's voxels, in strips as in one piece; a plane stays
+/// where it is.
 #[test]
 fn a_volume_of_another_spacing_comes_back_on_its_own_lattice() {
     let (network, settings) = tiny(8, 1);

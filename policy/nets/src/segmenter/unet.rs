@@ -1,5 +1,5 @@
-//! A small 3-D U-Net: half resolution inside, so that its widest volumes are an eighth of what it sees, with eight voxels a place at
-//! both ends.
+//! A small 3-D U-Net: half resolution inside, so that its widest volumes are an eighth of what it
+//! sees, with eight voxels a place at both ends.
 
 use serde::{Deserialize, Serialize};
 use tch::{TchError, Tensor};
@@ -21,7 +21,8 @@ pub struct UNetConfig {
     pub widths: Vec<i64>,
     /// Classes.
     pub classes: i64,
-    /// The part of its input, which is in [0, 1], that it sees stretched to [0, 1] as well: soft tissue.
+    /// The part of its input, which is in [0, 1], that it sees stretched to [0, 1] as well: soft
+    /// tissue.
     pub narrow: [f64; 2],
 }
 
@@ -240,7 +241,8 @@ impl UNet {
         &self.parameters
     }
 
-    /// Scores `(batch, classes, x, y, z)` of `(batch, 1, x, y, z)`, values in [0, 1], sides multiples of [`UNetConfig::multiple`].
+    /// Scores `(batch, classes, x, y, z)` of `(batch, 1, x, y, z)`, values in [0, 1], sides
+    /// multiples of [`UNetConfig::multiple`].
     ///
     /// # Errors
     /// The network library's.
@@ -265,7 +267,8 @@ fn sides(x: &Tensor) -> Result<[i64; 5], TchError> {
     x.size().try_into().map_err(|_| wrong())
 }
 
-/// Eight voxels a place: `(batch, channels, x, y, z)` to `(batch, 8 channels, x / 2, y / 2, z / 2)`.
+/// Eight voxels a place: `(batch, channels, x, y, z)` to `(batch, 8 channels, x / 2, y / 2, z /
+/// 2)`.
 fn folded(x: &Tensor) -> Result<Tensor, TchError> {
     let [batch, channels, a, b, c] = sides(x)?;
     x.f_view(

@@ -1,4 +1,5 @@
-//! DP3 and SimpleDP3: the encoder, one call of the U-Net, ten steps of diffusion with normalised inputs and outputs.
+//! DP3 and SimpleDP3: the encoder, one call of the U-Net, ten steps of diffusion with normalised
+//! inputs and outputs.
 
 use serde_json::Value;
 use tch::{Device, Kind, Tensor};
@@ -53,7 +54,8 @@ fn config(name: &str, case: &Value) -> Dp3Config {
     config
 }
 
-/// The case's network with regenerated weights, written over those of the beginning: they are too many to have twice.
+/// The case's network with regenerated weights, written over those of the beginning: they are too
+/// many to have twice.
 fn network(config: &Dp3Config, seed: u64) -> Dp3 {
     let network = Dp3::new(config.clone(), ParameterSource::seeded(0, Device::Cpu)).unwrap();
     for (key, tensor) in network.parameters().iter() {

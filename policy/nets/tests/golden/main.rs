@@ -1,7 +1,8 @@
-//! Networks against numbers of the reference implementations, with weights and inputs regenerated from a seed.
+//! Networks against numbers of the reference implementations, with weights and inputs regenerated
+//! from a seed.
 //!
-//! The file is `tests/golden/policies.json` of the repository, or the one that `TROCAR_GOLDEN` names. A case says by its
-//! own fields what it is; one that says nothing known is a failure.
+//! The file is `tests/golden/policies.json` of the repository, or the one that `TROCAR_GOLDEN`
+//! names. A case says by its own fields what it is; one that says nothing known is a failure.
 
 #![expect(
     clippy::unwrap_used,
@@ -27,7 +28,8 @@ fn golden() -> (u64, Value, String) {
         .nth(2)
         .unwrap();
     let named = std::env::var_os("TROCAR_GOLDEN").filter(|name| !name.is_empty());
-    // A path that is not absolute starts at the repository, not at this crate, where cargo runs the test.
+    // A path that is not absolute starts at the repository, not at this crate, where cargo runs the
+    // test.
     let path = root.join(named.unwrap_or_else(|| "tests/golden/policies.json".into()));
     let name = path.display().to_string();
     let text = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{name}: {error}"));

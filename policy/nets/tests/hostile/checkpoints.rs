@@ -1,4 +1,5 @@
-//! Checkpoints: a small DP3 whose every file is damaged in turn, and headers that lie about their size.
+//! Checkpoints: a small DP3 whose every file is damaged in turn, and headers that lie about their
+//! size.
 
 use std::fs;
 use std::path::Path;

@@ -1,5 +1,6 @@
-//! Checkpoints and weights that are damaged or made to harm: read or refused with the file's name, never a panic, never
-//! unbounded memory. How many cases there are, and where they begin, is said in `policy/data/tests/hostile/main.rs`.
+//! Checkpoints and weights that are damaged or made to harm: read or refused with the file's name,
+//! never a panic, never unbounded memory. How many cases there are, and where they begin, is said
+//! in `policy/data/tests/hostile/main.rs`.
 
 #![expect(
     clippy::unwrap_used,

@@ -167,8 +167,8 @@ fn renumber(folder: &Path, load: Load) {
     }
 }
 
-/// Both kinds of damage, with the weights of another network in their place, so that much can be tried: whatever the other
-/// files say is followed up to there.
+/// Both kinds of damage, with the weights of another network in their place, so that much can be
+/// tried: whatever the other files say is followed up to there.
 fn damage_small_files(folder: &Path, load: Load) {
     load(folder).expect("it is whole");
     let weights = folder.join(WEIGHTS);

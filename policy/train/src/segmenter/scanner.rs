@@ -1,4 +1,5 @@
-//! A CT as another scanner might have given it: contrast, scale, shift, blur, noise, rings and streaks.
+//! A CT as another scanner might have given it: contrast, scale, shift, blur, noise, rings and
+//! streaks.
 
 use tch::{Device, Kind, TchError, Tensor};
 
@@ -49,7 +50,8 @@ fn blurred(x: &Tensor, share: f64) -> Result<Tensor, TchError> {
     Ok(blurred)
 }
 
-/// Rings about an axis of rotation, or streaks from a dense place, HU: `(x, y, 1)` of a window of `size`.
+/// Rings about an axis of rotation, or streaks from a dense place, HU: `(x, y, 1)` of a window of
+/// `size`.
 fn artefact(size: &[i64], device: Device, random: &mut SplitMix64) -> Result<Tensor, TchError> {
     let line = |side: i64, at: f64| {
         let line = Tensor::f_arange(side, (Kind::Float, device))?;

@@ -1,9 +1,10 @@
 //! Who may open the console: whoever has the token, from a page that this server served.
 //!
-//! The token stands in the URL that the run prints. It is taken from there once: the page comes with a cookie of the same value, which the
-//! page's other requests carry and no script can read. The host must be a loopback name, or with TLS one that the certificate names, so that a
-//! foreign name that was made to point here (DNS rebinding) reaches nothing; and a WebSocket must come from a page of the same host, which a
-//! browser states as its origin.
+//! The token stands in the URL that the run prints. It is taken from there once: the page comes
+//! with a cookie of the same value, which the page's other requests carry and no script can read.
+//! The host must be a loopback name, or with TLS one that the certificate names, so that a foreign
+//! name that was made to point here (DNS rebinding) reaches nothing; and a WebSocket must come from
+//! a page of the same host, which a browser states as its origin.
 
 use std::fs::File;
 use std::io::{self, Read as _};
@@ -19,8 +20,8 @@ const VIEWERS: [&str; 2] = ["https://app.foxglove.dev", "https://embed.foxglove.
 /// Bytes of a token.
 const TOKEN_BYTES: usize = 16;
 
-/// Random words that whoever opens the console must know, hexadecimal: one for pages, and one for viewers, whose address is passed on more
-/// easily and opens no page.
+/// Random words that whoever opens the console must know, hexadecimal: one for pages, and one for
+/// viewers, whose address is passed on more easily and opens no page.
 #[derive(Clone, Debug)]
 pub(super) struct Access {
     token: String,
@@ -133,7 +134,8 @@ fn in_query(query: Option<&str>) -> Option<&str> {
     pairs.find_map(|pair| pair.strip_prefix("token="))
 }
 
-/// Whether the token `own` was given. The time that this takes tells nothing about where they differ.
+/// Whether the token `own` was given. The time that this takes tells nothing about where they
+/// differ.
 fn is_same(own: &str, given: &str) -> bool {
     let pairs = own.bytes().zip(given.bytes());
     let differing = pairs.fold(0, |differing, (one, other)| differing | (one ^ other));
@@ -141,7 +143,8 @@ fn is_same(own: &str, given: &str) -> bool {
 }
 
 /// # Errors
-/// [`Refusal::Host`] if the request is not for a loopback name, or with TLS not for a name of the certificate.
+/// [`Refusal::Host`] if the request is not for a loopback name, or with TLS not for a name of the
+/// certificate.
 pub(super) fn check_host(headers: &HeaderMap, tls: Option<&Tls>) -> Result<(), Refusal> {
     let host = text(headers, header::HOST).ok_or(Refusal::Host)?;
     let loopback = |name: &str| {

@@ -15,7 +15,8 @@ pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8080";
 /// The port of Foxglove's own examples.
 pub const FOXGLOVE_ADDRESS: &str = "127.0.0.1:8765";
 
-/// An address and a port; port 0 is any that is free. What is not loopback is reached from other machines, by TLS.
+/// An address and a port; port 0 is any that is free. What is not loopback is reached from other
+/// machines, by TLS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Address(SocketAddr);
 
@@ -39,7 +40,8 @@ impl Address {
         !self.0.ip().is_loopback()
     }
 
-    /// The addresses at which it is reached: its own, or those of all interfaces, the ones of other machines first.
+    /// The addresses at which it is reached: its own, or those of all interfaces, the ones of other
+    /// machines first.
     pub(super) fn reached_at(self) -> Vec<IpAddr> {
         let own = self.0.ip();
         if !own.is_unspecified() {
@@ -53,7 +55,8 @@ impl Address {
     }
 }
 
-/// The addresses of all interfaces that are up, without those that need the interface's name beside them.
+/// The addresses of all interfaces that are up, without those that need the interface's name beside
+/// them.
 fn interfaces() -> Vec<IpAddr> {
     let of = |interface: InterfaceAddress| {
         let address = interface.address?;
@@ -70,7 +73,8 @@ fn interfaces() -> Vec<IpAddr> {
     all.filter(far).collect()
 }
 
-/// What a certificate for `addresses` names: this machine, by loopback and by its name, and all at which it is reached.
+/// What a certificate for `addresses` names: this machine, by loopback and by its name, and all at
+/// which it is reached.
 pub(super) fn names(addresses: &[Address]) -> Vec<String> {
     let mut names = vec![
         "localhost".to_owned(),

@@ -1,8 +1,9 @@
 //! The certificate that a console beyond loopback makes for itself.
 //!
-//! It is self-signed, good for a year, and names loopback, the machine and the addresses at which it is reached. It is kept, with its key, in
-//! `trocar/console.json` of `$XDG_STATE_HOME` (or `~/.local/state`), which its user alone may read: a headset that has accepted it once knows
-//! it the next time. Another one is made when it lacks a name or has less than 30 days left.
+//! It is self-signed, good for a year, and names loopback, the machine and the addresses at which
+//! it is reached. It is kept, with its key, in `trocar/console.json` of `$XDG_STATE_HOME` (or
+//! `~/.local/state`), which its user alone may read: a headset that has accepted it once knows it
+//! the next time. Another one is made when it lacks a name or has less than 30 days left.
 
 use std::env;
 use std::fs::{self, DirBuilder, File, OpenOptions};
@@ -44,7 +45,8 @@ pub(super) struct Certificate {
 }
 
 impl Certificate {
-    /// The kept one of this user if it names all of `names`, or another one, which is kept if there is a place for it.
+    /// The kept one of this user if it names all of `names`, or another one, which is kept if there
+    /// is a place for it.
     ///
     /// # Errors
     /// If none can be made.

@@ -1,7 +1,8 @@
 //! One page: what it says is checked and done, and it is told what is new when it has room.
 //!
-//! A page says how many messages have arrived; no more than a few are on their way to it at a time. So whatever lies between (a tunnel, a
-//! slow network, a page that draws) holds no queue of old pictures.
+//! A page says how many messages have arrived; no more than a few are on their way to it at a time.
+//! So whatever lies between (a tunnel, a slow network, a page that draws) holds no queue of old
+//! pictures.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -172,7 +173,8 @@ impl Page {
             Outgoing::End(text) => {
                 send(socket, Message::Text(text)).await?;
                 close(socket, close_code::NORMAL, "the run has ended").await?;
-                // A socket that goes with words unread resets the connection, and what is on its way is lost.
+                // A socket that goes with words unread resets the connection, and what is on its
+                // way is lost.
                 let unread = async { while let Some(Ok(_)) = socket.recv().await {} };
                 let _silent = timeout(FAREWELL, unread).await;
                 Err(Disconnected)
@@ -286,7 +288,8 @@ impl Page {
     /// Waits for something new; the most important first.
     async fn news(&mut self) -> Outgoing {
         if self.on_the_way >= ON_THE_WAY_MAX {
-            // A page that lags behind is told of the end all the same: nobody is here to tell it later.
+            // A page that lags behind is told of the end all the same: nobody is here to tell it
+            // later.
             drop(self.over.wait_for(Option::is_some).await);
         }
         loop {
@@ -352,7 +355,8 @@ impl Page {
         )
     }
 
-    /// What a dataset says of the place that this page looks at. Images are decoded here, in the server's thread: nothing runs beside it.
+    /// What a dataset says of the place that this page looks at. Images are decoded here, in the
+    /// server's thread: nothing runs beside it.
     fn of_dataset(&mut self, dataset: &DatasetView) -> Option<Outgoing> {
         let place = (self.episode, self.place?);
         if std::mem::take(&mut self.moved) {
@@ -365,7 +369,8 @@ impl Page {
         )
     }
 
-    /// A picture that this page lacks, of its streams in turn: `number` says which there is of a stream, `picture` makes it.
+    /// A picture that this page lacks, of its streams in turn: `number` says which there is of a
+    /// stream, `picture` makes it.
     fn picture<E: Display>(
         &mut self,
         number: impl Fn(Stream) -> Option<u64>,
@@ -395,7 +400,8 @@ impl Page {
     }
 }
 
-/// The time of a page, whose messages are bounded by it: browsers are not slowed down where the clocks of this process are.
+/// The time of a page, whose messages are bounded by it: browsers are not slowed down where the
+/// clocks of this process are.
 fn page_time(now: TimeNs) -> TimeNs {
     TimeNs(now.0.saturating_mul(slow_motion()))
 }
@@ -430,7 +436,8 @@ async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Disconnect
     }
 }
 
-/// Whether `command` does no more than bring the arms to rest: any page may say so, also while the one that steers is frozen.
+/// Whether `command` does no more than bring the arms to rest: any page may say so, also while the
+/// one that steers is frozen.
 const fn brings_to_rest(command: &Command) -> bool {
     matches!(
         command,

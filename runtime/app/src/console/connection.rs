@@ -1,5 +1,5 @@
-//! Connections: so many at a time, so that whoever opens thousands takes no file descriptor from the run; each has to speak within seconds,
-//! and in TLS where other machines reach it.
+//! Connections: so many at a time, so that whoever opens thousands takes no file descriptor from
+//! the run; each has to speak within seconds, and in TLS where other machines reach it.
 
 use std::convert::Infallible;
 use std::sync::Arc;

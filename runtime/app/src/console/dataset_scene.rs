@@ -1,7 +1,10 @@
-//! The scene of a dataset: the instruments where its arms were measured, and of its task what does not move, as far as that is known.
+//! The scene of a dataset: the instruments where its arms were measured, and of its task what does
+//! not move, as far as that is known.
 //!
-//! A dataset holds no scene. If it was recorded by this program with the very scene file that is built in, ground and cameras are that file's; of another
-//! recording of a built-in task the arms stand as the task has them, with its limits; a single arm of another task hangs above the middle of what is shown.
+//! A dataset holds no scene. If it was recorded by this program with the very scene file that is
+//! built in, ground and cameras are that file's; of another recording of a built-in task the arms
+//! stand as the task has them, with its limits; a single arm of another task hangs above the middle
+//! of what is shown.
 
 use std::fmt;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -23,7 +26,8 @@ use crate::digest::hash_text;
 use crate::session::changes::{Change, Changes, ConfigFile};
 use crate::session::{SessionError, Setup};
 
-/// Height of the remote centre of an arm of which it is not known where it stands, m: about as far as instruments reach.
+/// Height of the remote centre of an arm of which it is not known where it stands, m: about as far
+/// as instruments reach.
 const RCM_M: f64 = 0.12;
 
 /// What is known of the scene of a dataset.
@@ -44,7 +48,8 @@ impl fmt::Debug for DatasetScene {
 }
 
 impl DatasetScene {
-    /// That of `dataset` with its `notes`, whose task is that of `setup` if it is a built-in one; none of two arms of another.
+    /// That of `dataset` with its `notes`, whose task is that of `setup` if it is a built-in one;
+    /// none of two arms of another.
     pub(super) fn new(dataset: &Dataset, notes: &Notes, setup: Option<&Setup>) -> Option<Self> {
         let count = dataset.arms();
         let arms = setup.map_or_else(Vec::new, |setup| setup.robot.control.arms.clone());
@@ -82,7 +87,8 @@ impl DatasetScene {
         Ok(message.into())
     }
 
-    /// Where the actions from the frame `first` to `last` lead, arm by arm, in the scene and in those pictures of the cameras `names` that are known.
+    /// Where the actions from the frame `first` to `last` lead, arm by arm, in the scene and in
+    /// those pictures of the cameras `names` that are known.
     pub(super) fn paths(
         &self,
         dataset: &Dataset,
@@ -116,8 +122,8 @@ impl DatasetScene {
     }
 }
 
-/// What does not move in the scene of `setup`, if the options of the recording in `notes` say that it was recorded with this very file; with its cameras if
-/// these were the same in all episodes.
+/// What does not move in the scene of `setup`, if the options of the recording in `notes` say that
+/// it was recorded with this very file; with its cameras if these were the same in all episodes.
 fn at_rest(notes: &Notes, setup: &Setup) -> Option<SceneModel> {
     let options = notes.options.as_ref()?;
     let scene = setup.robot.texts.scene.as_deref()?;
@@ -223,7 +229,8 @@ mod tests {
         String::from_utf8_lossy(&file).contains(&format!("\"name\":\"{name}\""))
     }
 
-    /// The instruments are where the joints of each frame have them, from each arm's place in the task.
+    /// The instruments are where the joints of each frame have them, from each arm's place in the
+    /// task.
     #[test]
     fn instruments_are_where_the_arms_were_measured() {
         let folder = Scratch::new("dataset-scene-two");
@@ -249,7 +256,8 @@ mod tests {
         assert!(has(&scene, &dataset, "psm2") && !has(&scene, &dataset, "liver"));
     }
 
-    /// Ground and cameras are those of the scene file that the recording names by its hash, cameras only if no episode moved them.
+    /// Ground and cameras are those of the scene file that the recording names by its hash, cameras
+    /// only if no episode moved them.
     #[test]
     fn ground_and_cameras_are_those_of_the_recording() {
         let folder = Scratch::new("dataset-scene-one");
@@ -278,7 +286,8 @@ mod tests {
         }
     }
 
-    /// Without a known task a single arm hangs from its remote centre, and of two it is not known how they stand.
+    /// Without a known task a single arm hangs from its remote centre, and of two it is not known
+    /// how they stand.
     #[test]
     fn arms_of_an_unknown_task_stand_alone() {
         let folder = Scratch::new("dataset-scene-unknown");

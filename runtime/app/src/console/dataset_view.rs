@@ -1,4 +1,5 @@
-//! A dataset as pages see it, episode by episode: numbers are in memory, images are read from disk and decoded as they are looked at.
+//! A dataset as pages see it, episode by episode: numbers are in memory, images are read from disk
+//! and decoded as they are looked at.
 
 use std::path::Path;
 
@@ -180,7 +181,8 @@ impl DatasetView {
         }
     }
 
-    /// The image of `stream` in a frame as pages get it, or where everything is in it; none if the dataset does not keep it.
+    /// The image of `stream` in a frame as pages get it, or where everything is in it; none if the
+    /// dataset does not keep it.
     ///
     /// # Errors
     /// [`SessionError`] if the file that holds it is damaged.
@@ -266,7 +268,8 @@ fn setup(dataset: &Dataset) -> Option<Setup> {
     (setup.robot.control.arms.len() == dataset.arms()).then_some(setup)
 }
 
-/// Between which values an axis is in all frames, and 1 rad/s or m/s: what is known of arms without limits.
+/// Between which values an axis is in all frames, and 1 rad/s or m/s: what is known of arms without
+/// limits.
 fn range(dataset: &Dataset, axis: usize) -> AxisRange {
     let frames = 0..dataset.len();
     let arms = 0..dataset.arms();
@@ -326,7 +329,8 @@ mod tests {
         assert_eq!(told, [(0.0, policy), (0.08, operator), (0.16, policy)]);
     }
 
-    /// Joints that the inverse kinematics finds reach the action's tip; what is at the remote centre has none.
+    /// Joints that the inverse kinematics finds reach the action's tip; what is at the remote
+    /// centre has none.
     #[test]
     fn an_action_has_joints_or_none() {
         let joints = JointVector::new(0.1, -0.2, 0.12, 0.4, 0.2, -0.3);

@@ -16,8 +16,8 @@ pub struct ListenAddresses {
     pub page: Option<Address>,
     /// For Foxglove.
     pub viewers: Option<Address>,
-    /// A certificate of the user's own, with its chain, and its key, PEM: then all is TLS, at loopback too. Without one a self-signed one is made
-    /// for what other machines reach.
+    /// A certificate of the user's own, with its chain, and its key, PEM: then all is TLS, at
+    /// loopback too. Without one a self-signed one is made for what other machines reach.
     pub certificate: Option<(PathBuf, PathBuf)>,
 }
 

@@ -7,7 +7,8 @@ use image::{ExtendedColorType, ImageEncoder as _};
 use super::drawn::{Drawn, Pixels, Stream};
 use hal::TimeNs;
 
-/// Bytes before the image: camera, plane, two that are 0, a count of 4 that is 0, and seconds as a double, little endian.
+/// Bytes before the image: camera, plane, two that are 0, a count of 4 that is 0, and seconds as a
+/// double, little endian.
 pub(super) const HEAD: usize = 16;
 
 const QUALITY: u8 = 82;

@@ -150,7 +150,8 @@ pub(super) struct EndFacts {
 }
 
 impl Facts {
-    /// Those of a run of `title` (its task, or what its limits are for) under `control`, which shows `cameras`.
+    /// Those of a run of `title` (its task, or what its limits are for) under `control`, which
+    /// shows `cameras`.
     #[must_use]
     pub fn new(
         title: &str,
@@ -168,14 +169,15 @@ impl Facts {
         }
     }
 
-    /// Those of the drives of `arms`, in the world of `title` if they have one, which shows `cameras`.
+    /// Those of the drives of `arms`, in the world of `title` if they have one, which shows
+    /// `cameras`.
     pub(crate) fn of_drives(title: &str, seed: u64, arms: &[&str], cameras: Vec<String>) -> Self {
         let arms = arms.iter().map(|&name| name.to_owned());
         Self::of(Subject::Drives, (title, "", seed), arms.collect(), cameras)
     }
 
-    /// Those of a dataset of `title` (its task, and who made it) with these `arms`, whose axes are drawn in these ranges, and cameras, some of
-    /// which keep depth and ids.
+    /// Those of a dataset of `title` (its task, and who made it) with these `arms`, whose axes are
+    /// drawn in these ranges, and cameras, some of which keep depth and ids.
     pub(super) fn of_dataset(
         title: (&str, &str),
         arms: impl Iterator<Item = &'static str>,
@@ -259,7 +261,8 @@ impl Facts {
         self
     }
 
-    /// The same of a log in whose scene these cameras are: what they saw is drawn from there, but for images in the log.
+    /// The same of a log in whose scene these cameras are: what they saw is drawn from there, but
+    /// for images in the log.
     pub(super) fn drawn(mut self, cameras: Vec<String>) -> Self {
         let others = cameras.iter();
         let others = others.filter(|name| !self.cameras.contains(name));

@@ -1,8 +1,9 @@
-//! A live Foxglove server: the log's topics while a run or drives go on, with cameras, frames and shapes, or a log as its time line is
-//! played, for Foxglove and whoever speaks its WebSocket protocol (`foxglove.sdk.v1`). It only tells: no message of a viewer reaches the run.
+//! A live Foxglove server: the log's topics while a run or drives go on, with cameras, frames and
+//! shapes, or a log as its time line is played, for Foxglove and whoever speaks its WebSocket
+//! protocol (`foxglove.sdk.v1`). It only tells: no message of a viewer reaches the run.
 //!
-//! Like a page of the console a viewer has a seat, sees the newest of everything, and is told no more than it takes; only of what
-//! happened it misses nothing.
+//! Like a page of the console a viewer has a seat, sees the newest of everything, and is told no
+//! more than it takes; only of what happened it misses nothing.
 
 mod played;
 mod wire;
@@ -226,7 +227,8 @@ impl Viewer {
         self.tell(socket, &fresh).await
     }
 
-    /// Goes on with a log, if that is what is shown: what its messages say, and what time it is in it.
+    /// Goes on with a log, if that is what is shown: what its messages say, and what time it is in
+    /// it.
     async fn play(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let Some(log) = self.shared.log() else {
             return Ok(());
@@ -320,7 +322,8 @@ impl Viewer {
         Ok(())
     }
 
-    /// Sends a message to each subscription to `topic`: code, subscription, time, and the message itself.
+    /// Sends a message to each subscription to `topic`: code, subscription, time, and the message
+    /// itself.
     async fn publish(
         &self,
         socket: &mut WebSocket,

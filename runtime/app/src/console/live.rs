@@ -169,7 +169,8 @@ impl Live {
         buses.record(self.facts.buses.1).buses
     }
 
-    /// Says `command` to the run, as the operator's verbs do; waits for the answer. Whether it is a yes, and the answer.
+    /// Says `command` to the run, as the operator's verbs do; waits for the answer. Whether it is a
+    /// yes, and the answer.
     pub(super) fn say(&self, command: &Command) -> (bool, String) {
         let Some(socket) = &self.operator else {
             return (false, "no operator reaches this run".to_owned());

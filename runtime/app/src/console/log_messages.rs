@@ -1,4 +1,5 @@
-//! A log's own messages in memory, for viewers: of most topics the newest of each twentieth of a second.
+//! A log's own messages in memory, for viewers: of most topics the newest of each twentieth of a
+//! second.
 
 use std::collections::BTreeMap;
 
@@ -11,13 +12,15 @@ use super::viewers::Message;
 /// Time from one message of a topic that is kept to the next, at first, ns.
 const EVERY_NS: u64 = 50_000_000;
 
-/// Bytes of messages that are kept, of some twenty minutes of one arm; of longer logs they are further apart.
+/// Bytes of messages that are kept, of some twenty minutes of one arm; of longer logs they are
+/// further apart.
 const BYTES_MAX: usize = 64 << 20;
 
 /// Topics of which all messages are kept, since one does not say what another said.
 const WHOLE: [&str; 2] = [live::EVENTS, live::TRANSFORMS];
 
-/// How far back the messages of such a topic are told after a jump, and how much of the time may pass at once without being one, ns.
+/// How far back the messages of such a topic are told after a jump, and how much of the time may
+/// pass at once without being one, ns.
 const LOOK_BACK_NS: u64 = 200_000_000;
 const STEP_NS_MAX: u64 = 2_000_000_000;
 
@@ -79,7 +82,8 @@ impl LogMessages {
         self.bytes = sizes.map(Bytes::len).sum();
     }
 
-    /// What `topic` says of the time from `before` (not itself) to `at`, if time goes on a little, or else of `at` alone.
+    /// What `topic` says of the time from `before` (not itself) to `at`, if time goes on a little,
+    /// or else of `at` alone.
     pub(super) fn at(&self, topic: &str, before: Option<TimeNs>, at: TimeNs) -> Vec<Message> {
         let Some(kept) = self.topics.get(topic) else {
             return Vec::new();
@@ -114,7 +118,8 @@ mod tests {
             .collect()
     }
 
-    /// Events come once as time goes on, and not at all that were jumped over; of the other topics the newest is told.
+    /// Events come once as time goes on, and not at all that were jumped over; of the other topics
+    /// the newest is told.
     #[test]
     fn what_is_told_is_of_the_time_that_passes() {
         let mut messages = LogMessages::default();

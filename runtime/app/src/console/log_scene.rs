@@ -1,5 +1,6 @@
-//! The scene of a log: where everything was at each policy step, if a simulation said so, and what its cameras saw, drawn when a page looks there. Of
-//! other logs what is known: the instruments where the arms were measured, and of a task what does not move.
+//! The scene of a log: where everything was at each policy step, if a simulation said so, and what
+//! its cameras saw, drawn when a page looks there. Of other logs what is known: the instruments
+//! where the arms were measured, and of a task what does not move.
 
 use std::fmt;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -28,7 +29,8 @@ pub(super) struct LogScene {
     arms: Vec<ArmConfig>,
     /// Whether the log says where everything was.
     is_whole: bool,
-    /// By the tick of their time: messages that say where everything was, or else joints and jaw of each arm, as they were measured.
+    /// By the tick of their time: messages that say where everything was, or else joints and jaw of
+    /// each arm, as they were measured.
     records: States,
     /// The places, among the cameras of the log, of those that the scene of a robot has.
     seen_by: Vec<u8>,
@@ -41,8 +43,9 @@ struct Drawing {
     cameras: Cameras,
 }
 
-/// Draws what the camera of this name sees; none if there is no such camera. It stands for [`SceneCameras`], in whose renderer's types the
-/// compiler would look, wherever a log is shared, for what may not be.
+/// Draws what the camera of this name sees; none if there is no such camera. It stands for
+/// [`SceneCameras`], in whose renderer's types the compiler would look, wherever a log is shared,
+/// for what may not be.
 type Draw =
     Box<dyn FnMut(&str, &SceneSnapshot) -> Result<Option<CameraFrame>, SessionError> + Send>;
 
@@ -65,8 +68,10 @@ impl fmt::Debug for LogScene {
 }
 
 impl LogScene {
-    /// That of the run of `header` with `arms`, these messages of its scene and the cameras of these names, as each is at first; also why its task
-    /// can't be made here, in words, if it can't, say since its patient is elsewhere: then the arms are seen alone, with cameras that say where they are.
+    /// That of the run of `header` with `arms`, these messages of its scene and the cameras of
+    /// these names, as each is at first; also why its task can't be made here, in words, if it
+    /// can't, say since its patient is elsewhere: then the arms are seen alone, with cameras that
+    /// say where they are.
     pub(super) fn new(
         header: &RunHeader,
         messages: States,
@@ -149,7 +154,8 @@ impl LogScene {
         scene::file(&self.drawing().model, &start, &self.arms).ok()
     }
 
-    /// Where everything is at `tick`, as pages are told; the cameras of a robot are where `lenses` have them.
+    /// Where everything is at `tick`, as pages are told; the cameras of a robot are where `lenses`
+    /// have them.
     ///
     /// # Errors
     /// If an arm that carries a camera is not there.
@@ -169,8 +175,9 @@ impl LogScene {
         Ok(Some(message.into()))
     }
 
-    /// How its task stood at `tick`, or the nearest before it, if the log says so; adds those of the cameras `names` that are of this scene, as they are
-    /// then, to `lenses`, each in its place among `names`.
+    /// How its task stood at `tick`, or the nearest before it, if the log says so; adds those of
+    /// the cameras `names` that are of this scene, as they are then, to `lenses`, each in its place
+    /// among `names`.
     pub(super) fn stood(
         &self,
         tick: u64,
@@ -182,8 +189,9 @@ impl LogScene {
         task
     }
 
-    /// What the camera `name` saw at `tick`, the plane of `stream`; none if there is no such camera, or nothing that draws, which is an error once.
-    /// It is drawn here, in the server's thread: nothing runs beside it.
+    /// What the camera `name` saw at `tick`, the plane of `stream`; none if there is no such
+    /// camera, or nothing that draws, which is an error once. It is drawn here, in the server's
+    /// thread: nothing runs beside it.
     ///
     /// # Errors
     /// From the renderer.
@@ -223,7 +231,8 @@ impl LogScene {
         self.known(tick).map(|(of, snapshot, _)| (of, snapshot))
     }
 
-    /// The tick of what is known of `tick`, where everything was, and how the task stood if the log says so.
+    /// The tick of what is known of `tick`, where everything was, and how the task stood if the log
+    /// says so.
     fn known(&self, tick: u64) -> Option<(u64, SceneSnapshot, Option<TaskRecord>)> {
         let (of, message) = self.records.at(tick)?;
         if self.is_whole {
@@ -433,8 +442,9 @@ mod tests {
         scene::places(&places.unwrap()).unwrap().0
     }
 
-    /// Without a simulation that says more, the instruments are where the arms were measured, with what of the task does not move, and with the limits.
-    /// What its cameras saw is not drawn: the needle is not known.
+    /// Without a simulation that says more, the instruments are where the arms were measured, with
+    /// what of the task does not move, and with the limits. What its cameras saw is not drawn: the
+    /// needle is not known.
     #[test]
     fn a_log_without_a_scene_has_the_measured_arms() {
         for (name, rests) in [("needle-lift", "organ"), ("needle-handover", "liver")] {
@@ -510,7 +520,8 @@ mod tests {
         }
     }
 
-    /// A task that can't be made here leaves the arms; a measurement that is lost, where they were before.
+    /// A task that can't be made here leaves the arms; a measurement that is lost, where they were
+    /// before.
     #[test]
     fn arms_are_seen_where_their_task_is_unknown() {
         let setup = setup("needle-lift");

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 /// Ticks from one state that is kept to the next, at first.
 const EVERY_TICKS: u64 = 20;
 
-/// Bytes of states that are kept, of some ten minutes of one arm, and of scenes; of longer logs they are further apart.
+/// Bytes of states that are kept, of some ten minutes of one arm, and of scenes; of longer logs
+/// they are further apart.
 const STATE_BYTES_MAX: usize = 64 << 20;
 
 /// One that is longer, bytes, is no state, scene or bus of ours, and let go.
@@ -85,7 +86,8 @@ impl States {
 mod tests {
     use super::{EVERY_TICKS, STATE_BYTES_MAX, States};
 
-    /// A log of hours takes no more than one of minutes: its states are further apart, from its beginning to its end.
+    /// A log of hours takes no more than one of minutes: its states are further apart, from its
+    /// beginning to its end.
     #[test]
     fn states_of_a_long_log_take_bounded_memory() {
         let mut states = States::default();

@@ -1,5 +1,5 @@
-//! A log as pages see it: states of all its ticks, recomputed by a controller of the logged configuration, its images, its scene, and what
-//! happened.
+//! A log as pages see it: states of all its ticks, recomputed by a controller of the logged
+//! configuration, its images, its scene, and what happened.
 
 use std::path::Path;
 
@@ -121,7 +121,8 @@ impl LogView {
         self.scene_file.clone()
     }
 
-    /// What `topic` says as the time goes from `before` to `at`: its newest message, or all of a topic of which each counts.
+    /// What `topic` says as the time goes from `before` to `at`: its newest message, or all of a
+    /// topic of which each counts.
     pub(super) fn messages(&self, topic: &str, before: Option<TimeNs>, at: TimeNs) -> Vec<Message> {
         let Some(camera) = live::camera_of(topic) else {
             return self.messages.at(topic, before, at);
@@ -450,7 +451,8 @@ mod tests {
         criteria.map(|it| it["met"] == true).collect()
     }
 
-    /// A log shows what the page on its run did: criteria as they stood, where chunks led in each camera's picture, the scene.
+    /// A log shows what the page on its run did: criteria as they stood, where chunks led in each
+    /// camera's picture, the scene.
     #[test]
     fn a_log_shows_what_its_run_did() {
         let folder = Scratch::folder("log-view");
@@ -497,7 +499,8 @@ mod tests {
         assert_ne!(moved[0][encode::HEAD..], moved[1][encode::HEAD..]);
     }
 
-    /// A part that a bound kept shows the states that the run was in, not those of a controller that begins there.
+    /// A part that a bound kept shows the states that the run was in, not those of a controller
+    /// that begins there.
     #[test]
     fn a_part_of_a_log_shows_the_states_of_its_run() {
         let folder = Scratch::folder("log-view-part");
@@ -532,7 +535,8 @@ mod tests {
         }
     }
 
-    /// Of such a log the instruments are seen where they were measured, over what does not move, and the load of the buses if it says so.
+    /// Of such a log the instruments are seen where they were measured, over what does not move,
+    /// and the load of the buses if it says so.
     #[test]
     fn a_log_without_scenes_shows_the_arms() {
         let folder = Scratch::folder("log-view-bare");

@@ -1,4 +1,5 @@
-//! The web console: one page in the browser that shows a run as it goes on, or a log, and from which the operator steers.
+//! The web console: one page in the browser that shows a run as it goes on, or a log, and from
+//! which the operator steers.
 //!
 //! ```text
 //!  control thread ── newest tick, counts (mailbox) ──> server thread ── JSON, 20 a second ──> pages
@@ -6,14 +7,20 @@
 //!                    the run's socket for operators <── verbs, of the one page that steers ────────┘
 //! ```
 //!
-//! `address` and `doors` say where it listens, `connection` how many connections it holds and for how long, `tls` and `certificate` how other machines reach
-//! it, `access` who may open it; `server` serves the page's files, `client` one page; `request` is what a page may say, `seats` who steers. `tap` is the control thread's end, `pictures` and `encode` are
-//! what cameras show, `scene` the scene in three dimensions; `by_hand` takes the operator's hands (`session/teleop`); `facts`, `live` and
-//! `state` make what a run says, `path` where its chunks lead, `log_view` what a log says, `log_scene` where everything was in it, `dataset_view` what a dataset does, `dataset_scene` what is known of its scene. The page itself is in `page/`. `foxglove` tells
-//! other programs the same in the log's form, at a door of its own, what stands in `viewers`, of a log in `log_messages`.
+//! `address` and `doors` say where it listens, `connection` how many connections it holds and for
+//! how long, `tls` and `certificate` how other machines reach it, `access` who may open it;
+//! `server` serves the page's files, `client` one page; `request` is what a page may say, `seats`
+//! who steers. `tap` is the control thread's end, `pictures` and `encode` are what cameras show,
+//! `scene` the scene in three dimensions; `by_hand` takes the operator's hands (`session/teleop`);
+//! `facts`, `live` and `state` make what a run says, `path` where its chunks lead, `log_view` what
+//! a log says, `log_scene` where everything was in it, `dataset_view` what a dataset does,
+//! `dataset_scene` what is known of its scene. The page itself is in `page/`. `foxglove` tells
+//! other programs the same in the log's form, at a door of its own, what stands in `viewers`, of a
+//! log in `log_messages`.
 //!
-//! The page has exactly the operator's verbs, and they go the same way: over the run's own socket (`session/operator`). What its hands ask for
-//! are chunks, as a policy's (`session/teleop`). Nothing of it reaches the controller in another way, so it can't weaken a limit.
+//! The page has exactly the operator's verbs, and they go the same way: over the run's own socket
+//! (`session/operator`). What its hands ask for are chunks, as a policy's (`session/teleop`).
+//! Nothing of it reaches the controller in another way, so it can't weaken a limit.
 
 mod access;
 mod address;
@@ -80,7 +87,8 @@ use pictures::Board;
 use shared::Shared;
 use viewers::Message;
 
-/// Ticks in which something happened that may wait to be told: they are looked for twenty times a second.
+/// Ticks in which something happened that may wait to be told: they are looked for twenty times a
+/// second.
 const NOTED: usize = 32;
 
 /// A console that listens. Clones are the same one.
@@ -215,7 +223,8 @@ impl Console {
         })
     }
 
-    /// From now on the devices at `paths`, under `/dev/input`, are the operator's hands, and those of no page; `warn` hears of those that go.
+    /// From now on the devices at `paths`, under `/dev/input`, are the operator's hands, and those
+    /// of no page; `warn` hears of those that go.
     ///
     /// # Errors
     /// [`SessionError::BadArgument`] if one can't be read or is no input device.
@@ -267,7 +276,8 @@ impl Console {
         Ok(())
     }
 
-    /// Shows a run from now on, whose operator's socket is `operator`; what it says comes from the ends that this gives.
+    /// Shows a run from now on, whose operator's socket is `operator`; what it says comes from the
+    /// ends that this gives.
     pub fn show_run(&self, facts: Facts, operator: Option<PathBuf>) -> RunTaps {
         let hands = Arc::clone(&self.shared.hands);
         let board = Arc::clone(&self.shared.board);
@@ -276,7 +286,8 @@ impl Console {
         taps
     }
 
-    /// From now on shows what `facts` say of drives; news of them come by [`Self::tell`] and [`Self::tell_axes`].
+    /// From now on shows what `facts` say of drives; news of them come by [`Self::tell`] and
+    /// [`Self::tell_axes`].
     pub(crate) fn show_drives(&self, facts: &Facts) {
         let channels = log_form::of_drives(facts.arms.len(), &facts.cameras);
         self.shared.viewers.offer(channels, facts.cameras.clone());
@@ -289,7 +300,8 @@ impl Console {
         self.shared.bulletin.send_replace(text.into());
     }
 
-    /// Tells viewers, if there are any, where the axes of each arm are and are wanted, as [`log_form::axes`] does.
+    /// Tells viewers, if there are any, where the axes of each arm are and are wanted, as
+    /// [`log_form::axes`] does.
     pub(crate) fn tell_axes<'a, I>(&self, at: TimeNs, arms: impl Iterator<Item = I>)
     where
         I: Iterator<Item = log_form::Axis<'a>> + Clone,
@@ -308,7 +320,8 @@ impl Console {
         self.shared.viewers.happened(vec![event]);
     }
 
-    /// Shows the scene of `model` from now on, as it is in `start`, with the limits of `arms`: the end for what moves.
+    /// Shows the scene of `model` from now on, as it is in `start`, with the limits of `arms`: the
+    /// end for what moves.
     ///
     /// # Errors
     /// [`SessionError::Simulation`] if an arm that carries a camera is not in `start`.
@@ -357,7 +370,8 @@ impl Console {
         Arc::clone(&self.shared.hands)
     }
 
-    /// Tells the pages how the run ended, and closes when they have heard it, or after a second and a half.
+    /// Tells the pages how the run ended, and closes when they have heard it, or after a second and
+    /// a half.
     pub fn close(&self, success: Option<bool>, reason: &str) {
         let words = LastWords {
             kind: "end",

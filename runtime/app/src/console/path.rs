@@ -1,4 +1,5 @@
-//! Where the newest chunk wants the tips to go from now on: in the scene, and in the pictures of the cameras.
+//! Where the newest chunk wants the tips to go from now on: in the scene, and in the pictures of
+//! the cameras.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +13,8 @@ const POINTS_MAX: usize = 24;
 /// Nearer to a camera than this nothing is in its picture, m.
 const NEAR_M: f64 = 0.001;
 
-/// Cameras by their place among those that pages are told of: the lens, and where it is in the scene, looking along z with y down.
+/// Cameras by their place among those that pages are told of: the lens, and where it is in the
+/// scene, looking along z with y down.
 pub(super) type Lenses = BTreeMap<u8, (Intrinsics, Pose)>;
 
 /// One arm's.
@@ -20,16 +22,19 @@ pub(super) type Lenses = BTreeMap<u8, (Intrinsics, Pose)>;
 pub(super) struct Path {
     /// Points in the scene, m.
     points: Vec<[f64; 3]>,
-    /// The same in each camera's picture, as parts of its width and height from its upper left corner; those behind it are left out.
+    /// The same in each camera's picture, as parts of its width and height from its upper left
+    /// corner; those behind it are left out.
     pictures: BTreeMap<u8, Vec<[f64; 2]>>,
 }
 
-/// The path through these `points` in the scene, of which it shows as many as one sees apart; the last one stays.
+/// The path through these `points` in the scene, of which it shows as many as one sees apart; the
+/// last one stays.
 pub(super) fn through(points: &[Point3<f64>], lenses: &Lenses) -> Path {
     path(&thinned(points), lenses)
 }
 
-/// The paths of `chunks` after `now`, of arms whose remote centres are at `rcms_in_scene`; one for each arm, empty when its chunk is over.
+/// The paths of `chunks` after `now`, of arms whose remote centres are at `rcms_in_scene`; one for
+/// each arm, empty when its chunk is over.
 pub(super) fn paths(
     chunks: &PerArm<Chunk>,
     now: TimeNs,

@@ -1,7 +1,9 @@
-//! What the cameras show, on its way to the pages: the newest picture of each stream, older ones are dropped.
+//! What the cameras show, on its way to the pages: the newest picture of each stream, older ones
+//! are dropped.
 //!
-//! Who draws hands over planes ([`FrameTap`]) and goes on; a thread of its own compresses what some page wants, once for all of them; each
-//! page then takes the newest picture when it has room for one.
+//! Who draws hands over planes ([`FrameTap`]) and goes on; a thread of its own compresses what some
+//! page wants, once for all of them; each page then takes the newest picture when it has room for
+//! one.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -99,7 +101,8 @@ impl Board {
         self.changed.subscribe()
     }
 
-    /// The newest picture of one of `streams` that is newer than the one in `seen`; of several the one that was seen longest ago.
+    /// The newest picture of one of `streams` that is newer than the one in `seen`; of several the
+    /// one that was seen longest ago.
     pub(super) fn newer(
         &self,
         streams: &[Stream],
@@ -196,7 +199,8 @@ impl FrameTap {
         self.0.wanted.load(Ordering::Relaxed) != 0
     }
 
-    /// Shows what is wanted of a frame that the camera with this `lens` took at `stamp` from there in the scene, unless the one before is younger than a thirtieth of a second.
+    /// Shows what is wanted of a frame that the camera with this `lens` took at `stamp` from there
+    /// in the scene, unless the one before is younger than a thirtieth of a second.
     pub(crate) fn show(
         &self,
         camera: usize,

@@ -42,7 +42,8 @@ pub(super) enum Request {
     Episode(EpisodeCommand),
     /// How the run went, or that this is not said any more.
     Mark(Option<RunMark>),
-    /// What the demonstration under way, or the run that asks for a mark, is called; nothing takes its label away.
+    /// What the demonstration under way, or the run that asks for a mark, is called; nothing takes
+    /// its label away.
     Label(String),
     /// Where in a log, or an episode of a dataset, to look, s from its beginning.
     At(f64),
@@ -119,8 +120,8 @@ pub(super) struct TokenBucket {
     filled: TimeNs,
 }
 
-/// What the store holds, and the time in which one message's worth comes back, ns: 400 a second. A page sends hand poses at 125 Hz and, of six
-/// cameras, about 100 acknowledgements a second.
+/// What the store holds, and the time in which one message's worth comes back, ns: 400 a second. A
+/// page sends hand poses at 125 Hz and, of six cameras, about 100 acknowledgements a second.
 const STORE: u64 = 300;
 const REFILL_NS: u64 = 2_500_000;
 
@@ -239,7 +240,8 @@ mod tests {
         assert_eq!(taken, 300);
     }
 
-    /// Hand poses at 125 Hz and the acknowledgements of six cameras' pictures are taken for as long as they go on, a flood is not.
+    /// Hand poses at 125 Hz and the acknowledgements of six cameras' pictures are taken for as long
+    /// as they go on, a flood is not.
     #[test]
     fn a_page_with_six_cameras_is_taken_and_a_flood_is_not() {
         let all_are_taken = |each_ns: u64| {

@@ -8,7 +8,8 @@ use tokio::sync::watch;
 use super::drawn::Stream;
 use super::pictures::Board;
 
-/// Pages and viewers at a time. Each takes a connection, some buffers, and its part of the server's one thread, at normal priority.
+/// Pages and viewers at a time. Each takes a connection, some buffers, and its part of the server's
+/// one thread, at normal priority.
 pub(super) const PAGES_MAX: usize = 64;
 
 /// What pages are told of each other.

@@ -75,7 +75,8 @@ const FILES: [(&str, &str, &str); 20] = [
 
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
-/// What a browser may not do with any answer: load from elsewhere, guess types, tell where it came from, show it in another page.
+/// What a browser may not do with any answer: load from elsewhere, guess types, tell where it came
+/// from, show it in another page.
 const HEADERS: [(HeaderName, &str); 6] = [
     (
         header::CONTENT_SECURITY_POLICY,

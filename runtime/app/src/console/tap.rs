@@ -1,6 +1,8 @@
-//! Hot path: bounded, no allocation, no I/O, never waits. What the control thread says of its ticks to the console.
+//! Hot path: bounded, no allocation, no I/O, never waits. What the control thread says of its ticks
+//! to the console.
 //!
-//! It counts every tick and hands over the newest one with the counts fifty times a second, and at once when an arm's state changes.
+//! It counts every tick and hands over the newest one with the counts fifty times a second, and at
+//! once when an arm's state changes.
 
 use hal::{ARMS_MAX, Chunk, PerArm, TICK_NS, TimeNs};
 use rtrb::Producer;
@@ -66,7 +68,8 @@ impl Buckets {
 pub(super) struct Changed {
     /// In which tick.
     pub(super) tick: u64,
-    /// The rows that held it, by their place in [`names`](trocar_control::rows::names), the first of them.
+    /// The rows that held it, by their place in [`names`](trocar_control::rows::names), the first
+    /// of them.
     pub(super) rows: [u16; ROWS_MAX],
     /// How many there were.
     pub(super) count: u16,
@@ -195,7 +198,8 @@ impl ControlTap {
         }
     }
 
-    /// Notes a tick in which the operator said something, an arm's state changed, the guard began to intervene or a chunk was refused.
+    /// Notes a tick in which the operator said something, an arm's state changed, the guard began
+    /// to intervene or a chunk was refused.
     fn note(&mut self, record: &TickRecord, states: &States) {
         let any = |what: fn(&ArmRecord) -> bool| record.arms.iter().any(what);
         let guard = any(|arm| arm.report.guard_intervened);

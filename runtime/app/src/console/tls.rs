@@ -81,7 +81,8 @@ impl Tls {
         chain: Vec<CertificateDer<'static>>,
         key: PrivateKeyDer<'static>,
     ) -> Result<Self, BadCertificate> {
-        // Whoever asks for a name finds it in there: an old form of certificate is refused here and not by every browser.
+        // Whoever asks for a name finds it in there: an old form of certificate is refused here and
+        // not by every browser.
         ParsedCertificate::try_from(&certificate)?;
         let config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
             .with_protocol_versions(&[&TLS13])?

@@ -1,4 +1,5 @@
-//! What viewers are told beside pictures: the topics that there are, the newest messages of them, and every line of what happened.
+//! What viewers are told beside pictures: the topics that there are, the newest messages of them,
+//! and every line of what happened.
 
 use std::borrow::Cow;
 use std::collections::VecDeque;

@@ -76,8 +76,8 @@ fn own_group() -> Option<String> {
     own.map(str::to_owned)
 }
 
-/// How many cores' time a control group below `root` may use in cgroup v2, and the file that says so: the least `cpu.max` of its own and those
-/// above it.
+/// How many cores' time a control group below `root` may use in cgroup v2, and the file that says
+/// so: the least `cpu.max` of its own and those above it.
 fn quota(root: &Path, group: &str) -> Option<(f64, PathBuf)> {
     let group = root.join(group.trim_start_matches('/'));
     let limits = group.ancestors().take_while(|at| at.starts_with(root));
@@ -103,7 +103,8 @@ fn isolation(count: usize) -> String {
     )
 }
 
-/// The command that allows every user's processes `item` (of limits.conf(5)) up to `value`, from the next login on.
+/// The command that allows every user's processes `item` (of limits.conf(5)) up to `value`, from
+/// the next login on.
 fn allowing(item: &str, value: &str) -> String {
     format!(
         "`echo '* - {item} {value}' | sudo tee /etc/security/limits.d/trocar-{item}.conf`, then log in again"
@@ -128,8 +129,8 @@ pub(super) fn fifo() -> Finding {
     }
 }
 
-/// What else holds it back where the kernel shares real-time out among control groups and gives this one none. In cgroup v2 no group but
-/// the root can be given any.
+/// What else holds it back where the kernel shares real-time out among control groups and gives
+/// this one none. In cgroup v2 no group but the root can be given any.
 fn throttled_group() -> &'static str {
     let none = |path: &str| fs::read_to_string(path).is_ok_and(|us| us.trim() == "0");
     let release = fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
@@ -209,7 +210,8 @@ pub(super) fn idle_states() -> Finding {
     )
 }
 
-/// The longest time that the first core takes to leave an idle state, us; none where it has no such states.
+/// The longest time that the first core takes to leave an idle state, us; none where it has no such
+/// states.
 fn slowest_exit_us() -> Option<u64> {
     let states = fs::read_dir("/sys/devices/system/cpu/cpu0/cpuidle").ok()?;
     let latency = |state: fs::DirEntry| {

@@ -114,7 +114,8 @@ fn arm_line(arm: &Arm) -> Line<'_> {
     Line::from(spans)
 }
 
-/// Name, range with measured and commanded position, both in numbers, commanded velocity, and what the filter changed of it, in limits.
+/// Name, range with measured and commanded position, both in numbers, commanded velocity, and what
+/// the filter changed of it, in limits.
 fn axis_line(axis: &Axis, arm: &Arm, place: usize, change: Option<f64>) -> Line<'static> {
     let measured = arm.measured.as_ref().and_then(|all| all.get(place));
     let commanded = arm.commanded.get(place).copied().unwrap_or_default();
@@ -149,7 +150,8 @@ fn axis_line(axis: &Axis, arm: &Arm, place: usize, change: Option<f64>) -> Line<
     ])
 }
 
-/// A joint's limits as brackets, where it is (`●`) and where it is commanded to be (`|`) between them.
+/// A joint's limits as brackets, where it is (`●`) and where it is commanded to be (`|`) between
+/// them.
 fn range(axis: &Axis, measured: Option<f64>, commanded: f64) -> String {
     let mut cells = vec!['·'; RANGE];
     let mut put = |value: f64, mark: char| {

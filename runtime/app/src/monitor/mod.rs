@@ -1,7 +1,8 @@
 //! A run in real time, seen in a terminal, with the operator's commands as keys.
 //!
-//! It asks the run over its operator's socket for what pages of the console are told, ten times a second: `seen` reads that, `draw` and `timing` draw it;
-//! `rig/can_traffic` counts frames on the CAN interfaces of this machine.
+//! It asks the run over its operator's socket for what pages of the console are told, ten times a
+//! second: `seen` reads that, `draw` and `timing` draw it; `rig/can_traffic` counts frames on the
+//! CAN interfaces of this machine.
 
 mod draw;
 mod seen;
@@ -45,10 +46,12 @@ enum KeyAction {
     Send(Command),
 }
 
-/// Shows the run of process `run`, or the only one of this user, until it ends or the person leaves.
+/// Shows the run of process `run`, or the only one of this user, until it ends or the person
+/// leaves.
 ///
 /// # Errors
-/// [`SessionError::BadArgument`] if there is no such run, or no terminal; [`SessionError::RealTime`] if the terminal or the run fails.
+/// [`SessionError::BadArgument`] if there is no such run, or no terminal;
+/// [`SessionError::RealTime`] if the terminal or the run fails.
 pub fn monitor(run: Option<&str>) -> Result<(), SessionError> {
     if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
         let reason = "monitor needs a terminal; for scripts there is `trocar status --json`";

@@ -1,4 +1,5 @@
-//! What a run says of itself, as far as the monitor shows it: the same JSON that pages of the console get.
+//! What a run says of itself, as far as the monitor shows it: the same JSON that pages of the
+//! console get.
 
 use serde::Deserialize;
 
@@ -92,7 +93,8 @@ pub(super) struct Histogram {
 }
 
 impl Histogram {
-    /// The upper end of the bucket that has the median, us; none if it is empty or beyond the last bucket.
+    /// The upper end of the bucket that has the median, us; none if it is empty or beyond the last
+    /// bucket.
     pub(super) fn median_us(&self, ends_us: &[u64]) -> Option<u64> {
         let total: u64 = self.counts.iter().sum();
         let mut below = 0;

@@ -39,7 +39,8 @@ pub(super) fn losses(results: &Results, table: &Table) -> Vec<(String, Vec<usize
     losses
 }
 
-/// `reason` with an ellipsis for every number, so that reasons that differ in a measured value alone are one.
+/// `reason` with an ellipsis for every number, so that reasons that differ in a measured value
+/// alone are one.
 fn without_numbers(reason: &str) -> String {
     let mut text = String::new();
     let mut in_number = false;

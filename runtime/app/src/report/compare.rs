@@ -93,7 +93,8 @@ fn successes(
     trials
 }
 
-/// Trials at two places that have the same seed and, of what is trained, come from the same training seed.
+/// Trials at two places that have the same seed and, of what is trained, come from the same
+/// training seed.
 fn pairs(results: &Results, table: &Table, one: &Coordinates, other: &Coordinates) -> Pairs {
     let (ours, theirs) = (
         successes(results, table, one),

@@ -10,7 +10,8 @@ use crate::study::estimate::in_words;
 use crate::study::job::Kind;
 use crate::study::plan::Entry;
 
-/// The losses of every network's trainings, a colour a task. A training whose losses are not kept is only counted.
+/// The losses of every network's trainings, a colour a task. A training whose losses are not kept
+/// is only counted.
 pub(super) fn training_curves(results: &Results) -> Vec<Block> {
     let study = &results.study;
     let trained = || {
@@ -139,7 +140,8 @@ fn groups(results: &Results) -> Vec<(Kind, String, Vec<&Made>)> {
     groups
 }
 
-/// What was made for `entry`: its recording by the task, its training and its evaluation by the network.
+/// What was made for `entry`: its recording by the task, its training and its evaluation by the
+/// network.
 fn made_for<'a>(results: &'a Results, entry: &Entry) -> [(Kind, String, Option<&'a Made>); 3] {
     let network = results.study.title_of(Axis::Network, &entry.at.network);
     let task = results.study.title_of(Axis::Task, &entry.at.task);

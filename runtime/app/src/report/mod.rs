@@ -1,4 +1,5 @@
-//! Reports of studies: one page with every table beside the published figures, curves, comparisons, losses, times and hashes.
+//! Reports of studies: one page with every table beside the published figures, curves, comparisons,
+//! losses, times and hashes.
 
 mod causes;
 pub mod compare;
@@ -30,7 +31,8 @@ use load::Results;
 use statistics::Score;
 use tables::Table;
 
-/// The figures of a report, for scripts: the same for the same cells, wherever and in how many shards they were made.
+/// The figures of a report, for scripts: the same for the same cells, wherever and in how many
+/// shards they were made.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Figures {
     /// The study's title.
@@ -58,10 +60,12 @@ pub struct Written {
     pub damaged: Vec<String>,
 }
 
-/// Reads the study in `folders` and writes its report to `out`, `.html` or `.md`, and its figures to `json`.
+/// Reads the study in `folders` and writes its report to `out`, `.html` or `.md`, and its figures
+/// to `json`.
 ///
 /// # Errors
-/// [`StudyError`] if a folder is no study's or of another grid, or `out` can't be written or is of another kind.
+/// [`StudyError`] if a folder is no study's or of another grid, or `out` can't be written or is of
+/// another kind.
 pub fn write(folders: &[PathBuf], out: &Path, json: Option<&Path>) -> Result<Written, StudyError> {
     let kind = kind_of(out)?;
     let results = Results::read(folders)?;
@@ -128,7 +132,8 @@ fn write_figures(figures: &Figures, path: &Path) -> Result<(), StudyError> {
     written.map_err(|error| StudyError::io(path, error))
 }
 
-/// The folder of `file`, absolute if the system tells where we are, as the folders of results are made too.
+/// The folder of `file`, absolute if the system tells where we are, as the folders of results are
+/// made too.
 fn folder_of(file: &Path) -> PathBuf {
     let parent = file.parent().unwrap_or_else(|| Path::new(""));
     std::path::absolute(parent.join(".")).unwrap_or_else(|_| parent.to_owned())

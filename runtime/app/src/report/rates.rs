@@ -77,7 +77,8 @@ fn missing(place: &Place) -> &'static str {
     }
 }
 
-/// The rate, its interval, invalid trials if there are any, and each training's successes if there are several.
+/// The rate, its interval, invalid trials if there are any, and each training's successes if there
+/// are several.
 fn score_lines(place: &Place, score: &Score) -> Vec<Vec<Inline>> {
     let (rate, [low, high]) = score.rate();
     let mut lines = vec![

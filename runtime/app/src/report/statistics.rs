@@ -57,7 +57,8 @@ impl Pairs {
         }
     }
 
-    /// McNemar's exact test, two-sided: how probable a difference like this is if both succeed equally often.
+    /// McNemar's exact test, two-sided: how probable a difference like this is if both succeed
+    /// equally often.
     ///
     /// Twice the tail of the binomial distribution of the discordant pairs, at most 1.
     #[must_use]
@@ -96,7 +97,8 @@ mod tests {
 
     #[test]
     fn wilson_matches_newcombes_table() {
-        // Newcombe, Statistics in Medicine 17 (1998), table I, method 3 (score without continuity correction).
+        // Newcombe, Statistics in Medicine 17 (1998), table I, method 3 (score without continuity
+        // correction).
         for (successes, trials, low, high) in [
             (81, 263, 0.2553, 0.3662),
             (15, 148, 0.0624, 0.1605),

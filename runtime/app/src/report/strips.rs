@@ -25,7 +25,8 @@ pub(super) fn log_of(evaluation: &Evaluation, trial: &Trial) -> Option<PathBuf> 
     kept(evaluation, trial, trial.log.as_deref(), "mcap")
 }
 
-/// A strip of evenly spaced moments of `trial`, the last one its end, as PNG; none if its animation was not kept.
+/// A strip of evenly spaced moments of `trial`, the last one its end, as PNG; none if its animation
+/// was not kept.
 #[must_use]
 pub(super) fn strip_of(evaluation: &Evaluation, trial: &Trial) -> Option<Vec<u8>> {
     let path = kept(evaluation, trial, trial.pictures.as_deref(), "gif")?;

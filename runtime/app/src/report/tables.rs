@@ -18,7 +18,8 @@ pub struct Place {
     pub score: Option<Score>,
     /// The published rate.
     pub published: Option<f64>,
-    /// Hashes of the commands of all trials, which tell whether two results are the same to the bit.
+    /// Hashes of the commands of all trials, which tell whether two results are the same to the
+    /// bit.
     pub command_hashes: Vec<String>,
 }
 
@@ -109,7 +110,8 @@ pub fn entries_of<'a>(study: &'a StudyRecord, grid: &GridRecord) -> Vec<&'a Entr
         .collect()
 }
 
-/// Axes other than that of the columns on which the grid has more than one place; the task if there is none.
+/// Axes other than that of the columns on which the grid has more than one place; the task if there
+/// is none.
 fn row_axes(entries: &[&Entry], columns: Axis) -> Vec<Axis> {
     let varies = |axis: Axis| {
         let mut places: Vec<String> = Vec::new();
@@ -189,7 +191,8 @@ fn published(grid: &GridRecord, at: &Coordinates) -> Option<f64> {
 }
 
 impl Table {
-    /// Mean rates of each column over the rows, ours and the published; none where a row is missing.
+    /// Mean rates of each column over the rows, ours and the published; none where a row is
+    /// missing.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "there are few rows")]
     pub fn means(&self) -> Vec<(Option<f64>, Option<f64>)> {

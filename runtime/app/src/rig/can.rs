@@ -1,4 +1,5 @@
-//! Drives on CAN, paced by the clock. Hot path: bounded, no allocation, no lock; its system calls are the arms' sockets.
+//! Drives on CAN, paced by the clock. Hot path: bounded, no allocation, no lock; its system calls
+//! are the arms' sockets.
 
 use hal::{ARM_NAMES, Arm as _, Measured, PerArm, Period, Rig, Setpoint, TICK_NS, TimeNs};
 use trocar_canopen::master::cycle::LINES_MAX;
@@ -17,7 +18,8 @@ pub(crate) struct CanRig {
     pub(crate) arms: PerArm<BusArm>,
     noticed: MailboxWriter<Noticed>,
     happened: PerArm<CanStatus>,
-    /// Whether each arm's drives have all confirmed that they are without torque, when they were taken down.
+    /// Whether each arm's drives have all confirmed that they are without torque, when they were
+    /// taken down.
     pub(crate) confirmed_down: PerArm<bool>,
     periodic: Periodic,
 }
@@ -58,7 +60,8 @@ impl CanRig {
             .collect()
     }
 
-    /// Takes all drives down through the states of CiA 402, all arms at once, and stops their nodes.
+    /// Takes all drives down through the states of CiA 402, all arms at once, and stops their
+    /// nodes.
     pub(crate) fn take_down(&mut self, clock: MonotonicClock) {
         let first = clock.now().plus_ns(TICK_NS);
         let mut periodic = Periodic::new(clock, first, TICK_NS);

@@ -9,7 +9,8 @@ use trocar_log::{BusRecord, BusesRecord};
 
 use crate::rt::MonotonicClock;
 
-/// Bits of a frame without data, and of each byte that it carries, with as many stuff bits as there can be.
+/// Bits of a frame without data, and of each byte that it carries, with as many stuff bits as there
+/// can be.
 const FRAME_BITS: u64 = 55;
 const BYTE_BITS: u64 = 10;
 
@@ -140,7 +141,8 @@ impl Bus {
         self.per_s(|count| count.frames)
     }
 
-    /// Share of the time for which frames keep a bus of `bit_rate` bits a second busy, with as many stuff bits as there can be.
+    /// Share of the time for which frames keep a bus of `bit_rate` bits a second busy, with as many
+    /// stuff bits as there can be.
     pub(crate) fn load(&self, bit_rate: u32) -> f64 {
         let bits = |count: &Count| FRAME_BITS * count.frames + BYTE_BITS * count.bytes;
         self.per_s(bits) / f64::from(bit_rate.max(1))
@@ -184,7 +186,8 @@ impl Bus {
 mod tests {
     use super::*;
 
-    /// What is sent on an interface without a wire is counted once, and the load is that of frames with most stuff bits.
+    /// What is sent on an interface without a wire is counted once, and the load is that of frames
+    /// with most stuff bits.
     #[test]
     fn frames_load_and_errors_are_the_kernels() {
         let folder = std::env::temp_dir().join(format!("trocar-traffic-{}", std::process::id()));

@@ -1,4 +1,5 @@
-//! The rigs: simulated arms in lockstep, simulated arms in another thread, drives on CAN, arms on topics; and the controller's tick in all of them.
+//! The rigs: simulated arms in lockstep, simulated arms in another thread, drives on CAN, arms on
+//! topics; and the controller's tick in all of them.
 //!
 //! A session's loop is the same for all: [`hal::Rig::exchange`], [`control`], again.
 
@@ -16,8 +17,8 @@ use trocar_log::{TickRecord, TickTiming};
 use crate::mailbox::MailboxWriter;
 use crate::rt::MonotonicClock;
 
-/// The controller's tick in `period` with what all of its arms measured: what the log keeps of it, and the set-points that answer it.
-/// Hot path: bounded, no allocation, no I/O.
+/// The controller's tick in `period` with what all of its arms measured: what the log keeps of it,
+/// and the set-points that answer it. Hot path: bounded, no allocation, no I/O.
 pub(crate) fn control(
     controller: &mut AnyController,
     period: &Period,

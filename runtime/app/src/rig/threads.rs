@@ -1,4 +1,5 @@
-//! Simulated arms in another thread, reached through wait-free queues, paced by the clock. Hot path: bounded, no allocation, no lock.
+//! Simulated arms in another thread, reached through wait-free queues, paced by the clock. Hot
+//! path: bounded, no allocation, no lock.
 
 use hal::{ArmError, ArmState, Measured, PerArm, Period, Rig, Setpoint, TimeNs};
 use rtrb::Producer;
@@ -8,8 +9,8 @@ use crate::rt::Periodic;
 
 /// Age of the newest measurement beyond which it counts as lost, ns.
 ///
-/// A drive's watchdog on a bus is of the same size (the dVRK's is 30 ms); a shared machine without a real-time kernel can
-/// take the simulation thread off its core for longer than a few periods.
+/// A drive's watchdog on a bus is of the same size (the dVRK's is 30 ms); a shared machine without
+/// a real-time kernel can take the simulation thread off its core for longer than a few periods.
 pub(crate) const MEASUREMENT_AGE_NS_MAX: u64 = 50_000_000;
 
 /// Simulated arms in another thread.
@@ -38,7 +39,8 @@ impl ThreadsRig {
 impl Rig for ThreadsRig {
     fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period {
         if let Some(setpoints) = setpoints {
-            // Full only if the arms have not moved for a second, and then their measurements are long missing.
+            // Full only if the arms have not moved for a second, and then their measurements are
+            // long missing.
             let _gone = self.commands.push(*setpoints);
         }
         let wake = self.periodic.wait();

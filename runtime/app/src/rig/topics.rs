@@ -1,5 +1,6 @@
-//! Arms that another process leads, reached through wait-free queues to the threads that are on its topics, paced by the clock. Hot path: bounded, no
-//! allocation, no lock; its system call wakes the thread that sends.
+//! Arms that another process leads, reached through wait-free queues to the threads that are on its
+//! topics, paced by the clock. Hot path: bounded, no allocation, no lock; its system call wakes the
+//! thread that sends.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

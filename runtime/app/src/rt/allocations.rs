@@ -1,4 +1,5 @@
-//! The system allocator, counting what each thread asks of it, so that a run can say that its control thread asked for nothing.
+//! The system allocator, counting what each thread asks of it, so that a run can say that its
+//! control thread asked for nothing.
 #![expect(
     unsafe_code,
     reason = "an allocator can't be had without; every call goes on to the system's unchanged"
@@ -15,7 +16,8 @@ fn count() {
     REQUESTS.with(|requests| requests.set(requests.get().wrapping_add(1)));
 }
 
-/// How often the calling thread has asked for memory; stays 0 where [`CountingAllocator`] is not the program's.
+/// How often the calling thread has asked for memory; stays 0 where [`CountingAllocator`] is not
+/// the program's.
 #[must_use]
 pub fn thread_allocations() -> u64 {
     REQUESTS.with(Cell::get)
@@ -25,7 +27,8 @@ pub fn thread_allocations() -> u64 {
 #[derive(Debug)]
 pub struct CountingAllocator;
 
-// SAFETY: every call goes on to the system allocator unchanged; counting touches a thread-local cell without a destructor.
+// SAFETY: every call goes on to the system allocator unchanged; counting touches a thread-local
+// cell without a destructor.
 unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();

@@ -1,4 +1,5 @@
-//! What a run in real time holds of the system for its whole process: memory, and cores out of idle states.
+//! What a run in real time holds of the system for its whole process: memory, and cores out of idle
+//! states.
 
 use std::fs::File;
 use std::io::{self, Write as _};
@@ -7,10 +8,12 @@ use std::sync::Arc;
 
 use super::thread::Grant;
 
-/// Where the kernel takes how long a core may need to leave an idle state. A wish holds as long as its writer keeps the file open.
+/// Where the kernel takes how long a core may need to leave an idle state. A wish holds as long as
+/// its writer keeps the file open.
 pub const CPU_DMA_LATENCY: &str = "/dev/cpu_dma_latency";
 
-/// What became of the wishes of a process. What was granted of them holds until the last clone is dropped.
+/// What became of the wishes of a process. What was granted of them holds until the last clone is
+/// dropped.
 #[derive(Clone, Debug)]
 pub struct Held {
     /// Locked memory.
@@ -49,7 +52,8 @@ impl Held {
     }
 }
 
-/// Wishes that no core needs any time to leave an idle state, at `device`, as long as the file is kept: [`CPU_DMA_LATENCY`].
+/// Wishes that no core needs any time to leave an idle state, at `device`, as long as the file is
+/// kept: [`CPU_DMA_LATENCY`].
 ///
 /// # Errors
 /// The system's: the device is there and may be written by root alone, if nobody changed that.

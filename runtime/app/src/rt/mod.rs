@@ -1,4 +1,5 @@
-//! The clock, sleeping and what the operating system grants a real-time thread; nothing else in the runtime has these.
+//! The clock, sleeping and what the operating system grants a real-time thread; nothing else in the
+//! runtime has these.
 
 mod allocations;
 mod held;
@@ -26,11 +27,13 @@ pub use thread::{
 };
 pub use wall::{WallClock, wall_time};
 
-/// How many times slower than the system's the clocks of this process run; 1 unless `TROCAR_SLOW_MOTION` in its environment
-/// says otherwise, a whole number up to 100 ([`check_slow_motion`]).
+/// How many times slower than the system's the clocks of this process run; 1 unless
+/// `TROCAR_SLOW_MOTION` in its environment says otherwise, a whole number up to 100
+/// ([`check_slow_motion`]).
 ///
-/// For machines that are too slow for a run in real time, such as a kernel inside a kernel: emulated drives and their
-/// controller, slowed down alike, do the same as ever. A real drive does not slow down; it hears no SYNC in time and stops.
+/// For machines that are too slow for a run in real time, such as a kernel inside a kernel:
+/// emulated drives and their controller, slowed down alike, do the same as ever. A real drive does
+/// not slow down; it hears no SYNC in time and stops.
 #[must_use]
 pub fn slow_motion() -> u64 {
     sys::slow_motion()
@@ -44,7 +47,8 @@ pub struct BadSlowMotion {
     pub value: String,
 }
 
-/// Whether [`slow_motion`] is what the environment asks for. Without this a value that means nothing counts as 1.
+/// Whether [`slow_motion`] is what the environment asks for. Without this a value that means
+/// nothing counts as 1.
 ///
 /// # Errors
 /// [`BadSlowMotion`] with the value.
@@ -53,19 +57,22 @@ pub fn check_slow_motion() -> Result<(), BadSlowMotion> {
     wanted.map(|_| ()).map_err(|value| BadSlowMotion { value })
 }
 
-/// Gives this process and its children a folder for XDG_RUNTIME_DIR if it has none: each renderer of Mesa's would complain otherwise,
-/// though it shows no window. To be called first of all, before there is a second thread.
+/// Gives this process and its children a folder for XDG_RUNTIME_DIR if it has none: each renderer
+/// of Mesa's would complain otherwise, though it shows no window. To be called first of all, before
+/// there is a second thread.
 pub fn quieten_mesa() {
     sys::set_unset_environment("XDG_RUNTIME_DIR", "/tmp");
 }
 
-/// Ends the process with the exit code `code`: libtorch would take its operators down one by one, which is a third of what a short command
-/// takes. To be called last of all, when nothing is left to be dropped or flushed.
+/// Ends the process with the exit code `code`: libtorch would take its operators down one by one,
+/// which is a third of what a short command takes. To be called last of all, when nothing is left
+/// to be dropped or flushed.
 pub fn end_process(code: u8) -> ! {
     sys::end_process(code)
 }
 
-/// The system's monotonic clock, slowed down if [`slow_motion`] says so, counted from where it was made.
+/// The system's monotonic clock, slowed down if [`slow_motion`] says so, counted from where it was
+/// made.
 #[derive(Clone, Copy, Debug)]
 pub struct MonotonicClock {
     origin_ns: u64,
@@ -110,7 +117,8 @@ impl Default for MonotonicClock {
     }
 }
 
-/// What the calendar says, as seconds since 1970: for people and for files that other programs read, never for a duration.
+/// What the calendar says, as seconds since 1970: for people and for files that other programs
+/// read, never for a duration.
 #[must_use]
 pub fn unix_seconds() -> f64 {
     sys::unix_seconds()
@@ -130,7 +138,8 @@ pub fn machine() -> String {
     format!("{}, {model}, Linux {}", name.trim(), kernel.trim())
 }
 
-/// Waits until something is published on the run's topics, for `at_most_ns`; never for the control thread.
+/// Waits until something is published on the run's topics, for `at_most_ns`; never for the control
+/// thread.
 pub fn wait(events: &Events, at_most_ns: u64) {
     events.wait(at_most_ns.saturating_mul(slow_motion()));
 }

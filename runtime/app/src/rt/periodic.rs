@@ -1,4 +1,5 @@
-//! A fixed grid of deadlines: absolute, so that lateness never adds up, and skipped whole when missed.
+//! A fixed grid of deadlines: absolute, so that lateness never adds up, and skipped whole when
+//! missed.
 
 use hal::{Measured, PerArm, Period, TimeNs};
 
@@ -38,8 +39,8 @@ impl Wake {
 
 /// Wakes its thread once a period.
 ///
-/// A period that starts late by less than its length is run at once. If whole periods have passed, they are skipped and
-/// counted and the phase is kept.
+/// A period that starts late by less than its length is run at once. If whole periods have passed,
+/// they are skipped and counted and the phase is kept.
 #[derive(Clone, Debug)]
 pub struct Periodic {
     clock: MonotonicClock,

@@ -16,7 +16,8 @@ pub struct RtProfile {
     pub control: RtOptions,
     /// Whether to keep in memory what the process has mapped when the control thread begins.
     pub lock_memory: bool,
-    /// Whether to keep all cores out of idle states while the run lasts: [`CPU_DMA_LATENCY`](super::CPU_DMA_LATENCY) at 0.
+    /// Whether to keep all cores out of idle states while the run lasts:
+    /// [`CPU_DMA_LATENCY`](super::CPU_DMA_LATENCY) at 0.
     pub hold_cpu_dma_latency: bool,
     /// How many periods the control thread may skip within a second; any number if not given.
     pub overruns_per_s_max: Option<u64>,
@@ -111,7 +112,8 @@ impl RtProfile {
         })
     }
 
-    /// Whether the system grants what a strict control thread insists on: tried on a thread of its own, before there is anything to lose.
+    /// Whether the system grants what a strict control thread insists on: tried on a thread of its
+    /// own, before there is anything to lose.
     ///
     /// # Errors
     /// [`RtRefused`] with what was refused.
@@ -133,8 +135,8 @@ impl RtProfile {
         }
     }
 
-    /// Locks memory and keeps cores out of idle states, if that is asked for: see [`lock_memory`]. What is held is held until the last
-    /// clone of it is dropped.
+    /// Locks memory and keeps cores out of idle states, if that is asked for: see [`lock_memory`].
+    /// What is held is held until the last clone of it is dropped.
     ///
     /// # Errors
     /// [`RtRefused`] if a strict profile does not get it.

@@ -1,4 +1,5 @@
-//! The system calls, one thin function each. All unsafe code of the runtime is here and in the counting allocator.
+//! The system calls, one thin function each. All unsafe code of the runtime is here and in the
+//! counting allocator.
 #![expect(
     unsafe_code,
     reason = "libc calls; each takes only memory that this module owns or borrows"
@@ -32,8 +33,8 @@ fn parse_slow_motion(text: &str) -> Option<u64> {
     (1..=SLOW_MOTION_MAX).contains(&factor).then_some(factor)
 }
 
-/// How many times slower than the system's all clocks of this process run: 1 if the environment says nothing that has a
-/// meaning.
+/// How many times slower than the system's all clocks of this process run: 1 if the environment
+/// says nothing that has a meaning.
 pub(super) fn slow_motion() -> u64 {
     static FACTOR: OnceLock<u64> = OnceLock::new();
     *FACTOR.get_or_init(|| wanted_slow_motion().unwrap_or(1))
@@ -74,7 +75,8 @@ pub(super) fn wall_ns() -> u64 {
     clock_ns(libc::CLOCK_REALTIME)
 }
 
-/// How far that is ahead of the system's monotonic clock, ns; none if this thread was kept from its core between the looks at both.
+/// How far that is ahead of the system's monotonic clock, ns; none if this thread was kept from its
+/// core between the looks at both.
 pub(super) fn wall_ahead_ns() -> Option<i64> {
     let (before, wall, after) = (system_ns(), wall_ns(), system_ns());
     let between = before.midpoint(after);
@@ -90,7 +92,8 @@ fn clock_ns(clock: libc::clockid_t) -> u64 {
         tv_sec: 0,
         tv_nsec: 0,
     };
-    // SAFETY: `now` is a live timespec. The call cannot fail for the clocks of this module on Linux.
+    // SAFETY: `now` is a live timespec. The call cannot fail for the clocks of this module on
+    // Linux.
     unsafe { libc::clock_gettime(clock, &raw mut now) };
     now.tv_sec.cast_unsigned() * NS_PER_S + now.tv_nsec.cast_unsigned()
 }
@@ -104,7 +107,8 @@ pub(super) fn sleep_until_ns(deadline_ns: u64) {
     };
     loop {
         let remaining = core::ptr::null_mut();
-        // SAFETY: `deadline` is a live, normalised timespec; with an absolute deadline the last pointer may be null.
+        // SAFETY: `deadline` is a live, normalised timespec; with an absolute deadline the last
+        // pointer may be null.
         let code = unsafe {
             libc::clock_nanosleep(
                 libc::CLOCK_MONOTONIC,
@@ -144,8 +148,9 @@ pub(super) fn pin_to(cpu: usize) -> io::Result<()> {
 
 /// Keeps the pages of everything that the process has mapped in memory, once they are touched.
 ///
-/// Pages are locked as they are touched: locking all of the network library's code would take hundreds of megabytes. What is mapped later
-/// is not locked, so that it does not count against the limit: topics that open later must not fail for it.
+/// Pages are locked as they are touched: locking all of the network library's code would take
+/// hundreds of megabytes. What is mapped later is not locked, so that it does not count against the
+/// limit: topics that open later must not fail for it.
 pub(super) fn lock_memory() -> io::Result<()> {
     // SAFETY: the call takes no pointers.
     checked(unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_ONFAULT) })
@@ -210,11 +215,13 @@ pub fn can_lock_bytes(bytes: usize) -> io::Result<()> {
     checked(unsafe { libc::munlock(memory.as_ptr().cast(), memory.len()) })
 }
 
-/// How many signals have asked the process to end, and how many of those are wishes: one more ends it at once.
+/// How many signals have asked the process to end, and how many of those are wishes: one more ends
+/// it at once.
 static INTERRUPTS: AtomicU32 = AtomicU32::new(0);
 static WISHES: AtomicU32 = AtomicU32::new(1);
 
-/// Runs inside the signal: nothing but atomics and what POSIX calls async-signal-safe is allowed there.
+/// Runs inside the signal: nothing but atomics and what POSIX calls async-signal-safe is allowed
+/// there.
 extern "C" fn note_interrupt(signal: libc::c_int) {
     let before = INTERRUPTS.fetch_add(1, Ordering::AcqRel);
     if before >= WISHES.load(Ordering::Acquire) {
@@ -225,7 +232,8 @@ extern "C" fn note_interrupt(signal: libc::c_int) {
     }
 }
 
-/// Makes the next SIGINT, SIGTERM or SIGHUP a wish that [`interrupted`] tells of; a second one ends the process at once.
+/// Makes the next SIGINT, SIGTERM or SIGHUP a wish that [`interrupted`] tells of; a second one ends
+/// the process at once.
 ///
 /// # Errors
 /// The system's.
@@ -234,8 +242,9 @@ pub fn catch_interrupts() -> io::Result<()> {
     catch()
 }
 
-/// As [`catch_interrupts`] while arms move: wrappers such as `timeout` and terminals may send a signal twice, so that a second one is a
-/// wish too and only a third ends the process at once, until [`arms_rest`].
+/// As [`catch_interrupts`] while arms move: wrappers such as `timeout` and terminals may send a
+/// signal twice, so that a second one is a wish too and only a third ends the process at once,
+/// until [`arms_rest`].
 ///
 /// # Errors
 /// The system's.
@@ -252,7 +261,8 @@ pub fn arms_rest() {
 fn catch() -> io::Result<()> {
     INTERRUPTS.store(0, Ordering::Release);
     for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
-        // SAFETY: sigaction is integers, a mask and an optional function, for which zero is a value.
+        // SAFETY: sigaction is integers, a mask and an optional function, for which zero is a
+        // value.
         let mut action: libc::sigaction = unsafe { core::mem::zeroed() };
         let handler: extern "C" fn(libc::c_int) = note_interrupt;
         action.sa_sigaction = handler as libc::sighandler_t;

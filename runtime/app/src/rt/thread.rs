@@ -97,8 +97,9 @@ impl fmt::Display for RtReport {
 #[error("the control thread did not get what it insists on: {0}; see `trocar doctor`")]
 pub struct RtRefused(pub RtReport);
 
-/// Keeps in memory what the process has mapped, page by page as it is touched. It takes tens of milliseconds, so that it comes before the
-/// first deadline, and after all is mapped that the loop uses: what is mapped later is not locked, nor does it count against the limit.
+/// Keeps in memory what the process has mapped, page by page as it is touched. It takes tens of
+/// milliseconds, so that it comes before the first deadline, and after all is mapped that the loop
+/// uses: what is mapped later is not locked, nor does it count against the limit.
 #[must_use]
 pub fn lock_memory() -> Grant {
     Grant::of(Some(sys::lock_memory()))
@@ -107,8 +108,8 @@ pub fn lock_memory() -> Grant {
 /// Applies `options` to the calling thread and touches its stack in advance.
 ///
 /// # Errors
-/// [`RtRefused`] if the options are strict and the system refused something; everything grantable is applied all the
-/// same.
+/// [`RtRefused`] if the options are strict and the system refused something; everything grantable
+/// is applied all the same.
 pub fn configure_thread(options: &RtOptions) -> Result<RtReport, RtRefused> {
     let report = RtReport {
         memory: Grant::of(options.lock_stack.then(lock_stack)),

@@ -17,7 +17,8 @@ pub struct WallClock {
 }
 
 impl WallClock {
-    /// By how much the clock was set ahead since the last look, ns; less than 0 if back. None if it was not, and at the first look.
+    /// By how much the clock was set ahead since the last look, ns; less than 0 if back. None if it
+    /// was not, and at the first look.
     ///
     /// Less than 10 ms is no setting: that is how a clock is slewed.
     pub fn set_ns(&mut self) -> Option<i64> {

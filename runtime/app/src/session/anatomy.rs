@@ -90,12 +90,12 @@ const PATIENT_FILES: [&str; 7] = [
     "tetrahedra.usda",
 ];
 
-/// Makes a patient of the labels in `source` by the table of labels `table`, and writes it into `out`; calls `watch` with each stage as
-/// it begins.
+/// Makes a patient of the labels in `source` by the table of labels `table`, and writes it into
+/// `out`; calls `watch` with each stage as it begins.
 ///
 /// # Errors
-/// [`SessionError::Anatomy`] if the volume is refused, [`SessionError::Config`] if the table is, [`SessionError::BadArgument`] if `out`
-/// can't be written.
+/// [`SessionError::Anatomy`] if the volume is refused, [`SessionError::Config`] if the table is,
+/// [`SessionError::BadArgument`] if `out` can't be written.
 pub fn build(
     source: &Path,
     table: &str,
@@ -120,7 +120,8 @@ pub fn build(
     })
 }
 
-/// Writes the CT and the labels of the procedural patient of `seed` into `out`; calls `done` with the slices that are written and all.
+/// Writes the CT and the labels of the procedural patient of `seed` into `out`; calls `done` with
+/// the slices that are written and all.
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] or [`SessionError::Anatomy`] if `out` can't be written.

@@ -1,4 +1,5 @@
-//! CAN interfaces of this machine: opened with an error that says what to do, and an error frame on purpose.
+//! CAN interfaces of this machine: opened with an error that says what to do, and an error frame on
+//! purpose.
 
 use std::fs;
 use std::path::Path;

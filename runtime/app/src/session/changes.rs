@@ -1,5 +1,5 @@
-//! Single values in the place of those of configuration files: `--set FILE.KEY=VALUE`, the last layer over what is built in and over
-//! files that are given.
+//! Single values in the place of those of configuration files: `--set FILE.KEY=VALUE`, the last
+//! layer over what is built in and over files that are given.
 
 use core::fmt;
 use core::str::FromStr;
@@ -193,7 +193,8 @@ mod tests {
         );
     }
 
-    /// The patient of a scene, which no shipped file names, can be set; a file that names one keeps it.
+    /// The patient of a scene, which no shipped file names, can be set; a file that names one keeps
+    /// it.
     #[test]
     fn a_patient_is_set_in_a_scene_without_one() {
         let set = |text: &str, changes: &[&str]| {

@@ -24,7 +24,8 @@ struct CloudFile {
     padding: Padding,
 }
 
-/// Reads `file`, or the built-in config/clouds.toml; where it names no number of points there are `points`.
+/// Reads `file`, or the built-in config/clouds.toml; where it names no number of points there are
+/// `points`.
 ///
 /// # Errors
 /// [`ConfigError`] naming file, line and key.

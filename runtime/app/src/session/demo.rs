@@ -1,4 +1,5 @@
-//! The demonstration: the committed policy of a task through every stage, and a person can look at it.
+//! The demonstration: the committed policy of a task through every stage, and a person can look at
+//! it.
 
 use std::path::{Path, PathBuf};
 
@@ -36,7 +37,8 @@ pub struct DemoResult {
     pub files: Vec<PathBuf>,
 }
 
-/// The plan for `task`, a built-in one's name or the path of a folder, with the committed policy of the task unless another one is given.
+/// The plan for `task`, a built-in one's name or the path of a folder, with the committed policy of
+/// the task unless another one is given.
 ///
 /// # Errors
 /// Those of [`Plan::load`]; [`SessionError::BadArgument`] if no policy is committed for the task.
@@ -51,11 +53,12 @@ pub fn plan(task: &str, policy: Option<&str>, seed: u64) -> Result<Plan, Session
     })
 }
 
-/// Runs `plan` in lockstep and in real time, writes both logs, the summaries, and pictures of the lockstep run into the folder `out`.
-/// Calls `on_progress` with what comes next.
+/// Runs `plan` in lockstep and in real time, writes both logs, the summaries, and pictures of the
+/// lockstep run into the folder `out`. Calls `on_progress` with what comes next.
 ///
 /// # Errors
-/// As of the runs and of reading their logs; [`SessionError::Log`] if one of them could not be written whole.
+/// As of the runs and of reading their logs; [`SessionError::Log`] if one of them could not be
+/// written whole.
 pub fn run(
     plan: &Plan,
     out: &Path,

@@ -1,4 +1,5 @@
-//! Episodes one after another for an external policy that steps through them, as a Gymnasium environment does.
+//! Episodes one after another for an external policy that steps through them, as a Gymnasium
+//! environment does.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -30,10 +31,11 @@ pub struct EpisodeSummary {
 /// Hears how an episode ended; none if it was abandoned.
 pub type OnEnd<'a> = &'a mut dyn FnMut(Option<&EpisodeSummary>);
 
-/// Runs the episodes of `seeds` in lockstep, in `steps`, with the external policy of `choice`, whose chunks are there at once.
+/// Runs the episodes of `seeds` in lockstep, in `steps`, with the external policy of `choice`,
+/// whose chunks are there at once.
 ///
-/// After an episode's verdict `on_end` hears of it, and then the policy is shown where it has ended, one step after the last. An episode
-/// that the policy abandons is over.
+/// After an episode's verdict `on_end` hears of it, and then the policy is shown where it has
+/// ended, one step after the last. An episode that the policy abandons is over.
 ///
 /// # Errors
 /// From the configuration, the policy or the simulation.

@@ -57,8 +57,8 @@ pub trait EpisodeObserver {
         Ok(())
     }
 
-    /// A chunk that the controller has consumed for the arm `arm`, counted from 0; the first arm's comes first, and their tick
-    /// after them.
+    /// A chunk that the controller has consumed for the arm `arm`, counted from 0; the first arm's
+    /// comes first, and their tick after them.
     fn chunk(&mut self, arm: usize, chunk: &Chunk) {
         let _unwatched = (arm, chunk);
     }
@@ -68,7 +68,8 @@ pub trait EpisodeObserver {
         let _unwatched = record;
     }
 
-    /// The same for whoever looks into the `controller` after it. This is what an episode calls; unless overridden it calls [`Self::tick`].
+    /// The same for whoever looks into the `controller` after it. This is what an episode calls;
+    /// unless overridden it calls [`Self::tick`].
     fn tick_of(&mut self, record: &TickRecord, controller: &AnyController) {
         let _unwatched = controller;
         self.tick(record);
@@ -79,7 +80,8 @@ pub trait EpisodeObserver {
         false
     }
 
-    /// Whether the episode is to end here, unfinished, with all that there is of it; asked before every policy step.
+    /// Whether the episode is to end here, unfinished, with all that there is of it; asked before
+    /// every policy step.
     fn wants_end(&self) -> bool {
         false
     }
@@ -116,8 +118,8 @@ impl Episode<'_> {
     /// Runs to the task's verdict or the tick limit.
     ///
     /// # Errors
-    /// From the simulation, the policy or the watcher; [`SessionError::Interrupted`] if the watcher wants to stop;
-    /// [`SessionError::BadArgument`] if the simulation has other arms than the
+    /// From the simulation, the policy or the watcher; [`SessionError::Interrupted`] if the watcher
+    /// wants to stop; [`SessionError::BadArgument`] if the simulation has other arms than the
     /// controller.
     pub fn run(
         self,
@@ -127,8 +129,9 @@ impl Episode<'_> {
         self.run_disturbed(timing, watcher, None)
     }
 
-    /// The same, in which `disturber`, if there is one, decides what is executed of what the expert answers. The watcher sees
-    /// the answers themselves at policy steps, and as chunks what the controller consumed.
+    /// The same, in which `disturber`, if there is one, decides what is executed of what the expert
+    /// answers. The watcher sees the answers themselves at policy steps, and as chunks what the
+    /// controller consumed.
     ///
     /// # Errors
     /// Those of [`Self::run`].
@@ -236,7 +239,8 @@ impl Running<'_> {
         ))
     }
 
-    /// The answer at a tick between two policy steps, of a source that gives one then, and how long it took, ns.
+    /// The answer at a tick between two policy steps, of a source that gives one then, and how long
+    /// it took, ns.
     fn between(
         &mut self,
         tick: u64,
@@ -264,8 +268,8 @@ impl Running<'_> {
         Ok((chunks, clock.now().since(before)))
     }
 
-    /// Takes frames if anyone wants them, asks the policy if it is its turn, and shows the watcher both. Gives the answer
-    /// and how long it took, ns.
+    /// Takes frames if anyone wants them, asks the policy if it is its turn, and shows the watcher
+    /// both. Gives the answer and how long it took, ns.
     fn policy_step(
         &mut self,
         step: u64,

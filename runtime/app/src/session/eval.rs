@@ -26,11 +26,12 @@ pub struct EvalOptions {
     pub keep: Option<Keep>,
 }
 
-/// Runs the trials of `plan`; `on_trial` hears of each in order. Once `stop` says so, those in progress are abandoned, and the summary is
-/// that of the ones that were done.
+/// Runs the trials of `plan`; `on_trial` hears of each in order. Once `stop` says so, those in
+/// progress are abandoned, and the summary is that of the ones that were done.
 ///
 /// # Errors
-/// The first error of any trial; [`SessionError::BadArgument`] if trials are to be kept in a folder that is not empty.
+/// The first error of any trial; [`SessionError::BadArgument`] if trials are to be kept in a folder
+/// that is not empty.
 pub fn evaluate(
     plan: &Plan,
     options: &EvalOptions,
@@ -40,8 +41,9 @@ pub fn evaluate(
     trials(plan, options, None, stop, on_trial)
 }
 
-/// The same with policies of the caller's; that of `plan` only names them. Jobs are threads of this process: `make` makes the policy of each
-/// in its thread, which keeps it from trial to trial and resets it with the seed of each.
+/// The same with policies of the caller's; that of `plan` only names them. Jobs are threads of this
+/// process: `make` makes the policy of each in its thread, which keeps it from trial to trial and
+/// resets it with the seed of each.
 ///
 /// # Errors
 /// Those of [`evaluate`] and of `make`.
@@ -87,8 +89,8 @@ fn trials(
     Ok(EvalSummary::new(plan, options.trials, episodes))
 }
 
-/// What one thread keeps from trial to trial: the network, the caller's policy or the connection to an external one, and the cameras,
-/// which are slow to make.
+/// What one thread keeps from trial to trial: the network, the caller's policy or the connection to
+/// an external one, and the cameras, which are slow to make.
 struct TrialWorker<'a> {
     plan: &'a Plan,
     keep: Option<&'a Keep>,
@@ -181,7 +183,8 @@ impl<'a> TrialWorker<'a> {
             return Ok(source);
         }
         if matches!(self.plan.policy, PolicyChoice::External(_)) {
-            // An earlier trial of this thread has failed, which ends the evaluation; nobody is waited for again.
+            // An earlier trial of this thread has failed, which ends the evaluation; nobody is
+            // waited for again.
             return Err(SessionError::Interrupted);
         }
         let Plan {

@@ -1,4 +1,5 @@
-//! A policy in another process, anybody's: it takes part over topics, in lockstep as request and answer.
+//! A policy in another process, anybody's: it takes part over topics, in lockstep as request and
+//! answer.
 //!
 //! ```text
 //! policy                                      session
@@ -10,7 +11,8 @@
 //!                                           <── control: stop
 //! ```
 //!
-//! In real time the same topics are written and read by the threads of the run, and nobody waits for a reply.
+//! In real time the same topics are written and read by the threads of the run, and nobody waits
+//! for a reply.
 
 use hal::{ARM_NAMES, Chunk, FrameRef, Observation, Policy, PolicyError, TimeNs, arm_names};
 use trocar_topics::{
@@ -31,7 +33,8 @@ pub use choice::{DEFAULT_NAME, DEFAULT_WITHIN_S, ExternalChoice, INSTRUCTION_BYT
 use link::ALIVE_EVERY_NS;
 pub(super) use link::{About, ExternalLink, LOOK_NS, check_wanted};
 
-/// An external policy in lockstep: each observation is published, and time stands still until the policy has replied.
+/// An external policy in lockstep: each observation is published, and time stands still until the
+/// policy has replied.
 pub struct ExternalPolicy {
     link: ExternalLink,
     reports: Vec<Publisher<ArmReport>>,
@@ -47,11 +50,13 @@ pub struct ExternalPolicy {
 }
 
 impl ExternalPolicy {
-    /// Waits for the policy of `choice`, which commands the arms of the task of `setup`, looks through its cameras and is shown them in `steps`.
+    /// Waits for the policy of `choice`, which commands the arms of the task of `setup`, looks
+    /// through its cameras and is shown them in `steps`.
     ///
     /// # Errors
-    /// [`SessionError::Topic`]; [`SessionError::Policy`] if it does not appear in time; [`SessionError::BadArgument`] and
-    /// [`SessionError::UnknownCamera`] if it is for something else.
+    /// [`SessionError::Topic`]; [`SessionError::Policy`] if it does not appear in time;
+    /// [`SessionError::BadArgument`] and [`SessionError::UnknownCamera`] if it is for something
+    /// else.
     pub fn connect(
         choice: &ExternalChoice,
         setup: &Setup,
@@ -95,7 +100,8 @@ impl ExternalPolicy {
         self.link.hello.query_every_steps
     }
 
-    /// Shows it where an episode has ended, one step after the last that it was shown; waits for nothing.
+    /// Shows it where an episode has ended, one step after the last that it was shown; waits for
+    /// nothing.
     ///
     /// # Errors
     /// [`PolicyError::External`] if a topic fails.

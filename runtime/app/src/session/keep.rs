@@ -54,8 +54,8 @@ pub(super) struct Kept {
     pub(super) pictures: PathBuf,
 }
 
-/// Writes the log of a trial while it runs. Its frames are drawn at the end, and only of a trial that is kept: drawing takes far
-/// longer than the rest.
+/// Writes the log of a trial while it runs. Its frames are drawn at the end, and only of a trial
+/// that is kept: drawing takes far longer than the rest.
 pub(super) struct Keeper<'a> {
     keep: &'a Keep,
     seed: u64,
@@ -87,8 +87,8 @@ impl<'a> Keeper<'a> {
         })
     }
 
-    /// Ends the log; keeps it, with pictures by `cameras` of those called `names`, if the trial is one to be kept;
-    /// where there are none yet, `make_cameras` makes them.
+    /// Ends the log; keeps it, with pictures by `cameras` of those called `names`, if the trial is
+    /// one to be kept; where there are none yet, `make_cameras` makes them.
     pub(super) fn finish(
         self,
         end: &EpisodeEnd,

@@ -1,4 +1,5 @@
-//! How long after its observation a chunk is there, in lockstep: as in real time, late, unevenly, and in order.
+//! How long after its observation a chunk is there, in lockstep: as in real time, late, unevenly,
+//! and in order.
 
 use std::collections::VecDeque;
 
@@ -9,7 +10,8 @@ use trocar_world::rng::Rng;
 pub struct Latency {
     /// The least, ticks.
     pub ticks: u64,
-    /// What may come on top, evenly distributed from nothing to this, ticks; every chunk draws its own.
+    /// What may come on top, evenly distributed from nothing to this, ticks; every chunk draws its
+    /// own.
     pub jitter_ticks: u64,
     /// What the draws depend on.
     pub seed: u64,
@@ -27,7 +29,8 @@ impl Latency {
     }
 }
 
-/// Chunks on their way. None overtakes another, as none does that one policy computes after another.
+/// Chunks on their way. None overtakes another, as none does that one policy computes after
+/// another.
 #[derive(Debug)]
 pub(super) struct Deliveries<T> {
     latency: Latency,
@@ -101,7 +104,8 @@ mod tests {
         assert_eq!(arrived.len(), 150);
         assert!(arrived.is_sorted(), "in order");
         let delays: Vec<u64> = arrived.iter().map(|(sent, tick)| tick - sent).collect();
-        // What waits for another one, and then for its turn, comes a little later than its own draw.
+        // What waits for another one, and then for its turn, comes a little later than its own
+        // draw.
         assert!(
             delays.iter().all(|delay| (30..=75).contains(delay)),
             "{delays:?}"

@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 
 use super::{SessionError, pictures};
 
-/// Checks that every file in `written`, each given with the option that names it, can be written, and that no two paths of
-/// `written` and `others` are the same; absent ones are skipped.
+/// Checks that every file in `written`, each given with the option that names it, can be written,
+/// and that no two paths of `written` and `others` are the same; absent ones are skipped.
 ///
-/// Parent folders are made. A file that is there keeps its content, and none is left behind that was not there.
+/// Parent folders are made. A file that is there keeps its content, and none is left behind that
+/// was not there.
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] with the option and the reason.
@@ -46,7 +47,8 @@ pub fn is_standard_output(path: &Path) -> bool {
     path == Path::new("-")
 }
 
-/// Makes the folder `path` that `option` names, or takes an empty one, and checks that files can be written into it.
+/// Makes the folder `path` that `option` names, or takes an empty one, and checks that files can be
+/// written into it.
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] if it is a file, is not empty or can't be written.
@@ -63,7 +65,8 @@ pub fn new_folder(option: &str, path: &Path) -> Result<(), SessionError> {
     probe(&path.join("writable")).map_err(|error| refuse(&unwritable(&error)))
 }
 
-/// Checks that `path`, which `option` names, is the folder of a dataset and that files can be written into it.
+/// Checks that `path`, which `option` names, is the folder of a dataset and that files can be
+/// written into it.
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] if it is none or can't be written.
@@ -120,7 +123,8 @@ fn is_same_file(one: &Path, other: &Path) -> bool {
     inode(one).is_some_and(|found| inode(other) == Some(found))
 }
 
-/// Opens `path` for writing and leaves everything as it was. Pipes and devices are left alone: opening one may wait.
+/// Opens `path` for writing and leaves everything as it was. Pipes and devices are left alone:
+/// opening one may wait.
 fn probe(path: &Path) -> std::io::Result<()> {
     match fs::metadata(path) {
         Ok(found) if found.is_file() || found.is_dir() => {

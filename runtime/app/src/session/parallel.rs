@@ -7,15 +7,17 @@ use std::thread;
 /// No more threads than this are started, however many are asked for.
 const THREADS_MAX: usize = 1024;
 
-/// Runs `work(index)` for every index below `count` on `threads` threads and hands the results to `consume` in order of
-/// the index, as soon as each is next.
+/// Runs `work(index)` for every index below `count` on `threads` threads and hands the results to
+/// `consume` in order of the index, as soon as each is next.
 ///
-/// Every thread gets a worker of its own from `make_worker`. There are no more threads than jobs, and no job is begun before the
-/// one that lies `ahead` jobs before it is consumed, so that no more than `ahead` are under way or wait for their turn. An error
-/// ends the work when its turn comes, after the results before it.
+/// Every thread gets a worker of its own from `make_worker`. There are no more threads than jobs,
+/// and no job is begun before the one that lies `ahead` jobs before it is consumed, so that no more
+/// than `ahead` are under way or wait for their turn. An error ends the work when its turn comes,
+/// after the results before it.
 ///
 /// # Errors
-/// The first error of a worker or of `consume`, by index; or the first of `make_worker`, as soon as it arrives.
+/// The first error of a worker or of `consume`, by index; or the first of `make_worker`, as soon as
+/// it arrives.
 pub fn in_order<W, T, E>(
     count: usize,
     threads: usize,
@@ -128,7 +130,8 @@ impl Drop for Ending<'_> {
 /// A job's index and its result; or why a thread has no worker.
 type Arrival<T, E> = Result<(usize, Result<T, E>), E>;
 
-/// Puts results that arrive in any order back into order, and tells `turn`. Returning drops the receiver, which ends the workers.
+/// Puts results that arrive in any order back into order, and tells `turn`. Returning drops the
+/// receiver, which ends the workers.
 fn collect<T, E>(
     receiver: mpsc::Receiver<Arrival<T, E>>,
     consume: &mut dyn FnMut(usize, T) -> Result<(), E>,

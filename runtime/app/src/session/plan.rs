@@ -42,8 +42,8 @@ pub trait Arms {
     /// The task, if there is one.
     fn task(&self) -> Option<&Setup>;
 
-    /// The axes in which an operator's hands move (x to the right, y up, z towards the viewer), as each arm's RCM frame has them; none if they are
-    /// not known.
+    /// The axes in which an operator's hands move (x to the right, y up, z towards the viewer), as
+    /// each arm's RCM frame has them; none if they are not known.
     fn rcms_from_view(&self) -> Vec<Pose>;
 
     /// What answers in this process.
@@ -58,7 +58,8 @@ pub trait Arms {
     ) -> Result<ChunkSource, SessionError>;
 }
 
-/// Everything that decides a session. [`Plan::new`] has the rest of the fields for those that a verb does not choose.
+/// Everything that decides a session. [`Plan::new`] has the rest of the fields for those that a
+/// verb does not choose.
 #[derive(Clone, Debug)]
 pub struct Plan<S = Setup> {
     /// The arms with their limits, and the task if there is one.
@@ -69,7 +70,8 @@ pub struct Plan<S = Setup> {
     pub seed: u64,
     /// Delay from observation to chunk in lockstep, ms; the policy's own if not given.
     pub latency_ms: Option<u64>,
-    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed, ms.
+    /// What may come on top of it, evenly from nothing to this, drawn for each chunk by the seed,
+    /// ms.
     pub latency_jitter_ms: u64,
     /// Where and how the network computes.
     pub compute: Compute,
@@ -77,15 +79,18 @@ pub struct Plan<S = Setup> {
     pub real_time: RtProfile,
     /// The page that shows a run in real time, if there is one.
     pub console: Option<Console>,
-    /// Whether the episode is a demonstration by hand: it waits for a person to start it, and is written down.
+    /// Whether the episode is a demonstration by hand: it waits for a person to start it, and is
+    /// written down.
     pub demonstrates: bool,
-    /// Where the log goes, if anywhere. It holds frames even if the policy needs none: see [`Setup::cameras_with`].
+    /// Where the log goes, if anywhere. It holds frames even if the policy needs none: see
+    /// [`Setup::cameras_with`].
     pub log: Option<PathBuf>,
     /// Bytes that the log takes at most on its disk, if it has a bound; it keeps the last part.
     pub log_bytes_max: Option<u64>,
     /// Says, of the log's path, that it is open.
     pub log_opened: fn(&Path),
-    /// The name of the topics on which others show what the cameras of simulated arms in real time see; without it Trocar draws that.
+    /// The name of the topics on which others show what the cameras of simulated arms in real time
+    /// see; without it Trocar draws that.
     pub cameras_on: Option<String>,
     /// Whether frames are drawn for the log that the policy does not need.
     pub log_frames: bool,
@@ -96,7 +101,8 @@ pub struct Plan<S = Setup> {
 }
 
 impl<S> Plan<S> {
-    /// Seed 0, the policy's own latency, one thread of the processor; without log and pictures, and nobody is warned.
+    /// Seed 0, the policy's own latency, one thread of the processor; without log and pictures, and
+    /// nobody is warned.
     pub fn new(setup: S, policy: PolicyChoice) -> Self {
         Self {
             setup,
@@ -118,7 +124,8 @@ impl<S> Plan<S> {
         }
     }
 
-    /// What an operator's hands did, if they are the policy, took over from it, or might have in a demonstration.
+    /// What an operator's hands did, if they are the policy, took over from it, or might have in a
+    /// demonstration.
     pub(super) fn by_hand(&self) -> Option<TeleopSummary> {
         let summary = self.console.as_ref()?.hands().summary();
         let interventions = summary.interventions.as_ref();
@@ -139,7 +146,8 @@ impl<S: Arms> Plan<S> {
         self.setup.source(&self.policy, self.seed, self.compute)
     }
 
-    /// Opens the log, if there is to be one: in lockstep it loses nothing, in real time it never waits.
+    /// Opens the log, if there is to be one: in lockstep it loses nothing, in real time it never
+    /// waits.
     pub(super) fn open_log(&self, lockstep: bool) -> Result<Option<Recorder>, SessionError> {
         let Some(path) = &self.log else {
             return Ok(None);
@@ -220,7 +228,8 @@ impl Plan {
         }
     }
 
-    /// The simulation of a run; says where its arms are beyond a boundary before they are enabled there.
+    /// The simulation of a run; says where its arms are beyond a boundary before they are enabled
+    /// there.
     pub(super) fn simulation(&self, rendering: Rendering) -> Result<Simulation, SessionError> {
         let mut simulation = Simulation::new(&self.setup.task, self.seed, rendering)?;
         let mut states = vec![simulation.read(TimeNs(0))?];
@@ -231,7 +240,8 @@ impl Plan {
         Ok(simulation)
     }
 
-    /// When the chunks of `source` arrive in lockstep in the episode of `seed`, and when it is given up.
+    /// When the chunks of `source` arrive in lockstep in the episode of `seed`, and when it is
+    /// given up.
     pub(super) fn timing(&self, seed: u64, source: &ChunkSource) -> Timing {
         Timing {
             latency: Latency {

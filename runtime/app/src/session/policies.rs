@@ -1,5 +1,6 @@
-//! Committed policies: a folder a task, and in it the one policy that is recommended for the task. They are found from any folder: in the
-//! repository whose root this is or whose `target` the program is in, or beside the program that was installed.
+//! Committed policies: a folder a task, and in it the one policy that is recommended for the task.
+//! They are found from any folder: in the repository whose root this is or whose `target` the
+//! program is in, or beside the program that was installed.
 
 use std::env;
 use std::fs;
@@ -30,7 +31,8 @@ fn beside_the_program() -> Option<Vec<PathBuf>> {
     Some([Some(prefix), repository].into_iter().flatten().collect())
 }
 
-/// The committed policy that `name` names, as `needle-lift/act-compact` or with `config/policies/` before it, if there is one.
+/// The committed policy that `name` names, as `needle-lift/act-compact` or with `config/policies/`
+/// before it, if there is one.
 pub(super) fn named(name: &str) -> Option<PathBuf> {
     let name = Path::new(name);
     let name = name.strip_prefix(FOLDER).unwrap_or(name);

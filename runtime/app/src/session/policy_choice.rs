@@ -27,16 +27,20 @@ pub enum PolicyChoice {
     Operator(OperatorFigures),
     /// A trained checkpoint.
     Checkpoint(PathBuf),
-    /// One that the caller hands in, as [`ChunkSource::policy`](super::source::ChunkSource::policy), by this name: to
-    /// [`run_lockstep_with`](super::run::run_lockstep_with), [`evaluate_with`](super::eval::evaluate_with),
-    /// [`record_with`](super::record::record_with) or [`run_rig`](super::realtime::run_rig).
+    /// One that the caller hands in, as
+    /// [`ChunkSource::policy`](super::source::ChunkSource::policy), by this name: to
+    /// [`run_lockstep_with`](super::run::run_lockstep_with),
+    /// [`evaluate_with`](super::eval::evaluate_with), [`record_with`](super::record::record_with)
+    /// or [`run_rig`](super::realtime::run_rig).
     Own(String),
     /// One in another process, over topics.
     External(ExternalChoice),
 }
 
 impl PolicyChoice {
-    /// Reads `expert`, `noop`, `random`, `teleop`, `simulated-operator`, `external`, `external:NAME`, or else a directory, or the name of a committed policy such as `needle-lift/act-compact`.
+    /// Reads `expert`, `noop`, `random`, `teleop`, `simulated-operator`, `external`,
+    /// `external:NAME`, or else a directory, or the name of a committed policy such as
+    /// `needle-lift/act-compact`.
     #[must_use]
     pub fn parse(text: &str) -> Self {
         match text {
@@ -54,7 +58,8 @@ impl PolicyChoice {
         }
     }
 
-    /// The same, in which an external policy may take `within_s` seconds to appear, to reset and to answer.
+    /// The same, in which an external policy may take `within_s` seconds to appear, to reset and to
+    /// answer.
     #[must_use]
     pub fn within_s(mut self, within_s: u64) -> Self {
         if let Self::External(choice) = &mut self {
@@ -81,7 +86,8 @@ impl PolicyChoice {
         Ok(self)
     }
 
-    /// The same, if it is a simulated operator with another delay and another tremor, where they are given.
+    /// The same, if it is a simulated operator with another delay and another tremor, where they
+    /// are given.
     ///
     /// # Errors
     /// [`SessionError::BadArgument`] for another policy.
@@ -127,7 +133,8 @@ impl PolicyChoice {
         self.clone()
     }
 
-    /// Checks that a checkpoint's folder is there, that an external policy's name can be one of topics, and its instruction told.
+    /// Checks that a checkpoint's folder is there, that an external policy's name can be one of
+    /// topics, and its instruction told.
     ///
     /// # Errors
     /// [`SessionError::BadArgument`], which says what a policy can be; [`SessionError::Topic`].
@@ -159,7 +166,8 @@ impl PolicyChoice {
         Ok(load_recipe(folder)?)
     }
 
-    /// SHA-256 of a checkpoint's weights, hexadecimal; none of another policy, and none if there is no such file.
+    /// SHA-256 of a checkpoint's weights, hexadecimal; none of another policy, and none if there is
+    /// no such file.
     ///
     /// # Errors
     /// [`SessionError::BadArgument`] if the file can't be read.

@@ -24,7 +24,8 @@ const FILLED: f64 = 1.0;
 const ABOVE: f64 = 0.25;
 /// One turn, ms.
 const TURN_MS: u32 = 4000;
-/// Radius of the model that stands for the patient, m: the renderer's surroundings are of the size of a belly.
+/// Radius of the model that stands for the patient, m: the renderer's surroundings are of the size
+/// of a belly.
 const MODEL_M: f64 = 0.060;
 /// Brightness on the model, as a share of an endoscope's on what it looks at: bones are light.
 const BRIGHT: f64 = 0.7;
@@ -52,11 +53,13 @@ struct Ball {
     radius_m: f64,
 }
 
-/// Draws a turn of a patient, which `trocar anatomy build` made; `done` is told how many pictures there are.
+/// Draws a turn of a patient, which `trocar anatomy build` made; `done` is told how many pictures
+/// there are.
 ///
 /// # Errors
-/// [`SessionError::BadArgument`] for a folder without a patient, a group that it has not, and a file that is neither GIF nor PNG;
-/// [`SessionError::Simulation`] without a device that draws, [`SessionError::Output`] if the file can't be written.
+/// [`SessionError::BadArgument`] for a folder without a patient, a group that it has not, and a
+/// file that is neither GIF nor PNG; [`SessionError::Simulation`] without a device that draws,
+/// [`SessionError::Output`] if the file can't be written.
 pub fn draw(preview: &Preview, done: &mut dyn FnMut(u32)) -> Result<(), SessionError> {
     let is_gif = is_gif(&preview.out)?;
     let parts = chosen(preview)?;

@@ -31,7 +31,8 @@ impl Published {
         Ok(Self { camera, publisher })
     }
 
-    /// Draws `scene` as it was at `stamp`, on the system's clock, and publishes the frame of that number.
+    /// Draws `scene` as it was at `stamp`, on the system's clock, and publishes the frame of that
+    /// number.
     ///
     /// # Errors
     /// From the renderer or the topic.

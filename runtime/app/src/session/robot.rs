@@ -29,17 +29,19 @@ pub struct Robot {
     pub texts: Texts,
     /// Whose arms they are: a task's by name, or else the file that the limits were read from.
     pub name: String,
-    /// The axes in which an operator's hands move (x to the right, y up, z towards the viewer), as each arm's RCM frame has them; none if no
-    /// hands are to move the arms.
+    /// The axes in which an operator's hands move (x to the right, y up, z towards the viewer), as
+    /// each arm's RCM frame has them; none if no hands are to move the arms.
     pub rcms_from_view: Vec<Pose>,
-    /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that tells.
+    /// The task of the demonstrations that the policy was trained on, if it is a checkpoint that
+    /// tells.
     pub trained_on: Option<String>,
     /// SHA-256 of the policy's weights, if it is a checkpoint: what results and logs know them by.
     pub weights_sha256: Option<String>,
 }
 
-/// The axes in which an operator's hands move an arm, `ARM=X,Y,Z`: how those of the view (x to the right, y up, z towards the viewer) are turned
-/// in the arm's RCM frame, degrees about its x, then its y, then its z.
+/// The axes in which an operator's hands move an arm, `ARM=X,Y,Z`: how those of the view (x to the
+/// right, y up, z towards the viewer) are turned in the arm's RCM frame, degrees about its x, then
+/// its y, then its z.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HandsView {
     arm: String,
@@ -107,12 +109,12 @@ impl Texts {
 }
 
 impl Robot {
-    /// Reads limits from the file `safety` (the form of a task's `safety.toml`) and the controller's settings from `control`, or
-    /// takes the built-in ones, with `changes` over both.
+    /// Reads limits from the file `safety` (the form of a task's `safety.toml`) and the
+    /// controller's settings from `control`, or takes the built-in ones, with `changes` over both.
     ///
     /// # Errors
-    /// [`SessionError::Config`], [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] for a policy that is neither a name
-    /// nor a folder, and for the expert, which needs a scene.
+    /// [`SessionError::Config`], [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] for
+    /// a policy that is neither a name nor a folder, and for the expert, which needs a scene.
     pub fn load(
         safety: &Path,
         control: Option<&Path>,
@@ -207,7 +209,8 @@ impl Robot {
     /// The network in `folder`, computing as `compute` says.
     ///
     /// # Errors
-    /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] if it is for another number of arms.
+    /// [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] if it is for another number
+    /// of arms.
     pub fn network(
         &self,
         folder: &Path,
@@ -218,7 +221,8 @@ impl Robot {
         Ok(LoadedPolicy::load(folder, compute)?)
     }
 
-    /// What is known of the policy in `folder` before its weights are read; it must be for as many arms.
+    /// What is known of the policy in `folder` before its weights are read; it must be for as many
+    /// arms.
     pub(super) fn outline(&self, folder: &Path) -> Result<PolicyOutline, SessionError> {
         let outline = PolicyOutline::read(folder)?;
         self.check_arms(folder, Some(outline.recipe.arms))?;
@@ -237,8 +241,8 @@ impl Robot {
         Ok(())
     }
 
-    /// What is running and where: program with its commit, library, a checkpoint's weights by their SHA-256 and the dataset that
-    /// it was trained on, and the machine.
+    /// What is running and where: program with its commit, library, a checkpoint's weights by their
+    /// SHA-256 and the dataset that it was trained on, and the machine.
     pub(super) fn versions(&self, policy: &PolicyChoice) -> BTreeMap<String, String> {
         let dataset = policy.recipe().ok().flatten().map(|recipe| {
             let dataset = recipe.dataset;
@@ -276,8 +280,8 @@ impl Arms for Robot {
         self.rcms_from_view.clone()
     }
 
-    /// A policy that sees nothing but the arms: the expert needs a scene, a checkpoint has a process of its own, and one's own
-    /// policy is handed to a run.
+    /// A policy that sees nothing but the arms: the expert needs a scene, a checkpoint has a
+    /// process of its own, and one's own policy is handed to a run.
     fn source(
         &self,
         choice: &PolicyChoice,

@@ -31,7 +31,8 @@ pub(super) const STOPPED: &str = "stopped by the operator";
 /// What a run leaves behind.
 #[derive(Debug)]
 pub struct RunResult {
-    /// Whether the task was done; of a robot without a task, whether the run ended as it was asked to.
+    /// Whether the task was done; of a robot without a task, whether the run ended as it was asked
+    /// to.
     pub ok: bool,
     /// The summary.
     pub summary: RunSummary,
@@ -99,7 +100,8 @@ pub(super) const fn rendering(draws: bool) -> Rendering {
     if draws { Rendering::On } else { Rendering::Off }
 }
 
-/// The simulation of the episode `seed`, with the `cameras` of the one before if there are some: they are slow to make.
+/// The simulation of the episode `seed`, with the `cameras` of the one before if there are some:
+/// they are slow to make.
 pub(super) fn next_simulation(
     task: &TaskConfig,
     seed: u64,

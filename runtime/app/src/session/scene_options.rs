@@ -1,5 +1,5 @@
-//! What of a task's scene the user chooses: the file that describes it, which needle lies there, from where it is seen, and
-//! whose frames are kept.
+//! What of a task's scene the user chooses: the file that describes it, which needle lies there,
+//! from where it is seen, and whose frames are kept.
 
 use std::path::PathBuf;
 
@@ -66,8 +66,9 @@ impl Setup {
     /// The same setup with these choices.
     ///
     /// # Errors
-    /// [`SessionError::BadArgument`] for a needle or a camera that the task has not, for a view that its cameras can't
-    /// give, and for what can't be varied; those of [`Self::with_scene_file`].
+    /// [`SessionError::BadArgument`] for a needle or a camera that the task has not, for a view
+    /// that its cameras can't give, and for what can't be varied; those of
+    /// [`Self::with_scene_file`].
     pub fn with_scene(mut self, options: &SceneOptions) -> Result<Self, SessionError> {
         if let Some(path) = &options.file {
             self = self.with_scene_file(path)?;
@@ -117,7 +118,8 @@ impl Setup {
         Ok(self)
     }
 
-    /// [`Self::with_stereo`], of which both eyes are recorded, as `endoscope` and `endoscope_right`: after the cameras that are kept anyway.
+    /// [`Self::with_stereo`], of which both eyes are recorded, as `endoscope` and
+    /// `endoscope_right`: after the cameras that are kept anyway.
     ///
     /// # Errors
     /// As there.
@@ -134,11 +136,12 @@ impl Setup {
         Ok(setup)
     }
 
-    /// The same setup with a second eye for a person, [`BASELINE_M`] to the right of the picture that hands move in. It is drawn for who
-    /// looks through it, and nothing is recorded of it.
+    /// The same setup with a second eye for a person, [`BASELINE_M`] to the right of the picture
+    /// that hands move in. It is drawn for who looks through it, and nothing is recorded of it.
     ///
     /// # Errors
-    /// [`SessionError::BadArgument`] if no camera stands in the scene, or each stands elsewhere in each episode.
+    /// [`SessionError::BadArgument`] if no camera stands in the scene, or each stands elsewhere in
+    /// each episode.
     pub fn with_stereo(mut self) -> Result<Self, SessionError> {
         let refused = |reason: &str| SessionError::BadArgument(format!("--stereo: {reason}"));
         if self.task.view == View::View1 || self.task.varied.contains(&Variation::Views) {
@@ -176,8 +179,8 @@ impl Setup {
         Ok(self)
     }
 
-    /// The cameras whose frames a session takes whose policy looks through `seen`: these first, then the ones that were asked
-    /// for. If there is neither, the first camera of the task.
+    /// The cameras whose frames a session takes whose policy looks through `seen`: these first,
+    /// then the ones that were asked for. If there is neither, the first camera of the task.
     #[must_use]
     pub fn cameras_with(&self, seen: Vec<String>) -> Vec<String> {
         let mut names = seen;
@@ -212,7 +215,8 @@ mod tests {
         setup(task, &options).unwrap().cameras_with(Vec::new())
     }
 
-    /// The second eye is beside the endoscope, sees the same point in the middle, and is none of the cameras that are kept.
+    /// The second eye is beside the endoscope, sees the same point in the middle, and is none of
+    /// the cameras that are kept.
     #[test]
     fn two_eyes_stand_beside_each_other() {
         let load = |view| {

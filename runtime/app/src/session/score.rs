@@ -1,4 +1,5 @@
-//! How many trials of an evaluation ended how, and what is asked of them: the one place that counts.
+//! How many trials of an evaluation ended how, and what is asked of them: the one place that
+//! counts.
 
 use core::fmt;
 

@@ -62,7 +62,8 @@ pub struct SegmentedGroup {
     pub voxels: u64,
     /// Its volume, ml.
     pub volume_ml: f64,
-    /// Twice what it has in common with the labels compared with, by what both have; none without such labels, or if neither has it.
+    /// Twice what it has in common with the labels compared with, by what both have; none without
+    /// such labels, or if neither has it.
     pub dice: Option<f64>,
 }
 

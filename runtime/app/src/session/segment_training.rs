@@ -16,7 +16,8 @@ use trocar_train::{LabelledScan, SegmenterTraining};
 use super::segment::{Classes, mean};
 use super::{SessionError, outputs};
 
-/// Seeds of patients to train on begin here: those below, which one makes oneself, are not seen in training.
+/// Seeds of patients to train on begin here: those below, which one makes oneself, are not seen in
+/// training.
 const TRAINING_SEEDS: u64 = 1_000_000;
 
 /// CT values that the network sees, and soft tissue among them, HU.
@@ -119,7 +120,8 @@ fn plan(options: &SegmentTraining, groups: &Groups) -> (Size, SegmenterSettings,
     (size, settings, config)
 }
 
-/// Trains a segmenter, writes it, and judges what was written by patients that it has not seen; `watch` says whether to go on.
+/// Trains a segmenter, writes it, and judges what was written by patients that it has not seen;
+/// `watch` says whether to go on.
 ///
 /// # Errors
 /// [`SessionError`]: options that are impossible, a loss that is not finite, a file that can't be written.
@@ -202,7 +204,8 @@ fn classify(segmenter: &Segmenter, scan: &LabelledScan) -> Result<Vec<u8>, Sessi
     Ok(segmenter.classify(&image, u64::MAX, &mut |_, _| ())?)
 }
 
-/// Dice of the segmenter that was written, by group, on patients that it has not seen, at its own spacing.
+/// Dice of the segmenter that was written, by group, on patients that it has not seen, at its own
+/// spacing.
 fn judge(
     options: &SegmentTraining,
     vista: &Groups,

@@ -42,14 +42,14 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// The configuration of `task`, a built-in one's name or the path of a folder, with the controller's settings from
-    /// `control` if given.
+    /// The configuration of `task`, a built-in one's name or the path of a folder, with the
+    /// controller's settings from `control` if given.
     ///
     /// Without `control`, a checkpoint's own recommendation decides how its chunks are aggregated.
     ///
     /// # Errors
-    /// [`SessionError::Config`], [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] for an unknown task or a
-    /// policy that is neither a name nor a folder.
+    /// [`SessionError::Config`], [`SessionError::Checkpoint`], or [`SessionError::BadArgument`] for
+    /// an unknown task or a policy that is neither a name nor a folder.
     pub fn load(
         task: &str,
         control: Option<&Path>,
@@ -58,7 +58,8 @@ impl Setup {
         Self::read(task, control, policy, None, Changes::default())
     }
 
-    /// The same with the choices of `scene`, and with `changes` over the files that are in effect: of two scenes the chosen one.
+    /// The same with the choices of `scene`, and with `changes` over the files that are in effect:
+    /// of two scenes the chosen one.
     ///
     /// # Errors
     /// As [`Self::load`] and [`Self::with_scene`].
@@ -72,7 +73,8 @@ impl Setup {
         Self::read(task, control, policy, scene.file.as_deref(), changes)?.with_choices(scene)
     }
 
-    /// Reads all files, with the scene of `scene_file` in the place of the task's own if there is one.
+    /// Reads all files, with the scene of `scene_file` in the place of the task's own if there is
+    /// one.
     fn read(
         task: &str,
         control: Option<&Path>,
@@ -107,8 +109,8 @@ impl Setup {
         })
     }
 
-    /// The same setup with the scene of the file `path`, which must be of the same kind and have its arms at the same
-    /// places. The task's name and its safety limits stay.
+    /// The same setup with the scene of the file `path`, which must be of the same kind and have
+    /// its arms at the same places. The task's name and its safety limits stay.
     ///
     /// # Errors
     /// [`SessionError::Config`], naming file, line and key.
@@ -121,7 +123,8 @@ impl Setup {
         Ok(self)
     }
 
-    /// What a person should know before a policy does another task than that of its demonstrations; none if it does not.
+    /// What a person should know before a policy does another task than that of its demonstrations;
+    /// none if it does not.
     #[must_use]
     pub fn transfer_note(&self) -> Option<String> {
         let trained_on = self.robot.trained_on.as_ref()?;
@@ -247,7 +250,8 @@ fn needs_console() -> SessionError {
     SessionError::BadArgument(reason.to_owned())
 }
 
-/// The scene of the file `path` for `task`, changed as asked; it must be of the `kind` that the task's own is of.
+/// The scene of the file `path` for `task`, changed as asked; it must be of the `kind` that the
+/// task's own is of.
 fn other_scene(
     path: &Path,
     task: &str,
@@ -264,7 +268,8 @@ fn other_scene(
     Ok((scene, config))
 }
 
-/// The base of arm `index` lies in the `scene`, which came from `source`, where the safety `limits` have it.
+/// The base of arm `index` lies in the `scene`, which came from `source`, where the safety `limits`
+/// have it.
 fn check_base(
     index: usize,
     limits: Pose,
@@ -291,7 +296,8 @@ fn check_base(
     Ok(())
 }
 
-/// The scene, which came from `source`, and the safety limits must speak of the same arms at the same places.
+/// The scene, which came from `source`, and the safety limits must speak of the same arms at the
+/// same places.
 fn check_bases(
     task: &TaskConfig,
     source: &Source,

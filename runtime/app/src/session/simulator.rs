@@ -1,5 +1,6 @@
-//! Simulated arms with their world and its cameras in a process of their own, commanded over topics (`trocar simulator`): what a run with
-//! [`Backend::Topics`](super::plan::Backend::Topics) has behind its controller.
+//! Simulated arms with their world and its cameras in a process of their own, commanded over topics
+//! (`trocar simulator`): what a run with [`Backend::Topics`](super::plan::Backend::Topics) has
+//! behind its controller.
 //!
 //! ```text
 //!  run ── set-points ──> arms thread (1 kHz): drives, world, judge ── feedback ──> run
@@ -8,8 +9,9 @@
 //!                        first thread: scene, verdict and camera frames on topics; the console's page
 //! ```
 //!
-//! The episode begins with the first set-points that enable all arms; before that nothing is judged. Arms that get no more set-points stop as the last
-//! ones said, and hold; the episode goes on.
+//! The episode begins with the first set-points that enable all arms; before that nothing is
+//! judged. Arms that get no more set-points stop as the last ones said, and hold; the episode goes
+//! on.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -79,7 +81,8 @@ pub struct SimulatorSummary {
     pub period_us: PercentilesUs,
 }
 
-/// Runs the arms of `plan` until a signal comes. `say` gets a line when they are there, when the episode begins, and for the verdict.
+/// Runs the arms of `plan` until a signal comes. `say` gets a line when they are there, when the
+/// episode begins, and for the verdict.
 ///
 /// # Errors
 /// From the configuration, the simulation or the topics.
@@ -197,8 +200,9 @@ impl ArmPorts {
         })
     }
 
-    /// The newest set-point that is for the period at `now`, which is `late` periods behind: one that makes up for a missed period follows no
-    /// set-point from after it, and none that a controller of the past has left.
+    /// The newest set-point that is for the period at `now`, which is `late` periods behind: one
+    /// that makes up for a missed period follows no set-point from after it, and none that a
+    /// controller of the past has left.
     fn due(&mut self, late: u64, now: TimeNs) -> Result<Option<ArmSetpoint>, SessionError> {
         while let Some(setpoint) = self.setpoints.next_unread()? {
             self.waiting.push_back(setpoint);
@@ -264,7 +268,8 @@ impl<'a> ArmsThread<'a> {
         while !stop.load(Ordering::Acquire) {
             let wake = periodic.wait();
             let work = MonotonicClock::new();
-            // What it was kept from for longer does not pass for the arms: their controller has given them up.
+            // What it was kept from for longer does not pass for the arms: their controller has
+            // given them up.
             for late in (0..=wake.skipped.min(MADE_UP_MAX)).rev() {
                 if stop.load(Ordering::Acquire) || rt::interrupted() {
                     break;

@@ -1,4 +1,5 @@
-//! Where everything in a scene is, as it travels to the process that draws it: plain numbers and back.
+//! Where everything in a scene is, as it travels to the process that draws it: plain numbers and
+//! back.
 
 use hal::{ARMS_MAX, Pose, TimeNs};
 use trocar_tasks::scene::{SceneSnapshot, THINGS_MAX};
@@ -12,7 +13,8 @@ use super::world_report::WorldName;
 
 const _: () = assert!(THINGS_MAX == SCENE_THINGS_MAX && NODES_MAX == FLAP_NODES_MAX);
 
-/// The report of `scene` at `stamp` on the system's clock, the step `sequence` of the episode of `world`, for all cameras.
+/// The report of `scene` at `stamp` on the system's clock, the step `sequence` of the episode of
+/// `world`, for all cameras.
 pub(super) fn report(
     stamp: TimeNs,
     sequence: u64,

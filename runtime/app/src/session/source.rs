@@ -1,4 +1,5 @@
-//! Where chunks come from: the scripted expert, a network, or one of the two policies that must never succeed.
+//! Where chunks come from: the scripted expert, a network, or one of the two policies that must
+//! never succeed.
 
 use hal::{
     ARMS_MAX, ArmObservation, ArmState, Chunk, FrameRef, Observation, Policy, TimeNs, TipTarget,
@@ -22,7 +23,8 @@ use trocar_log::TickRecord;
 /// Control periods in one policy step.
 pub const STEP_TICKS: u64 = hal::POLICY_STEP_NS / hal::TICK_NS;
 
-/// Ticks from an observation to a network's chunk in lockstep: about what it takes in real time on two shared cores.
+/// Ticks from an observation to a network's chunk in lockstep: about what it takes in real time on
+/// two shared cores.
 pub const NETWORK_LATENCY_TICKS: u64 = 4 * STEP_TICKS;
 
 /// One policy step, ns.
@@ -96,8 +98,8 @@ pub type MakeSource<'a> = &'a (dyn Fn() -> Result<ChunkSource, SessionError> + S
 pub(super) type SizedCamera = (String, Option<(u32, u32)>);
 
 impl ChunkSource {
-    /// A policy that looks through `cameras` (names of the task's, or of a robot's) and is asked every `query_every_steps` policy steps of 40 ms, at
-    /// least each step.
+    /// A policy that looks through `cameras` (names of the task's, or of a robot's) and is asked
+    /// every `query_every_steps` policy steps of 40 ms, at least each step.
     #[must_use]
     pub fn policy(
         policy: Box<dyn Policy + Send>,
@@ -146,7 +148,8 @@ impl ChunkSource {
         Self::seeing(Box::new(network), cameras, every)
     }
 
-    /// Forgets the past; everything random afterwards depends on `seed`. What is made with its seed is not changed.
+    /// Forgets the past; everything random afterwards depends on `seed`. What is made with its seed
+    /// is not changed.
     pub fn reset(&mut self, seed: u64) {
         if let Self::Policy(observer) = self {
             observer.policy.reset(seed);
@@ -261,7 +264,8 @@ impl ChunkSource {
         }
     }
 
-    /// Grasps that the expert or the simulated operator has tried, the present one included; 0 of any other source.
+    /// Grasps that the expert or the simulated operator has tried, the present one included; 0 of
+    /// any other source.
     #[must_use]
     pub fn attempts(&self) -> u32 {
         match self {
@@ -383,14 +387,16 @@ fn per_arm(chunks: Vec<Chunk>) -> Result<PerArm<Chunk>, SessionError> {
         .ok_or_else(|| SessionError::BadArgument("the policy commands no arm".to_owned()))
 }
 
-/// Whether a policy that is asked every `every` steps wants to have seen the step `step` too, which is no query's.
+/// Whether a policy that is asked every `every` steps wants to have seen the step `step` too, which
+/// is no query's.
 #[must_use]
 pub const fn precedes_query(step: u64, every: u64, history_steps: u64) -> bool {
     let since = step % every;
     since != 0 && every - since <= history_steps
 }
 
-/// Names of the cameras that a network of this `recipe` looks through: LeRobot's feature names without their common beginning.
+/// Names of the cameras that a network of this `recipe` looks through: LeRobot's feature names
+/// without their common beginning.
 #[must_use]
 pub fn camera_names(recipe: &Recipe) -> Vec<String> {
     let name = |feature: &str| {

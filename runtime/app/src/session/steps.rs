@@ -4,10 +4,12 @@ use hal::{POLICY_STEP_NS, TICK_NS, TimeNs};
 
 use super::SessionError;
 
-/// The shortest and the longest policy step, ns: what the gate takes between two targets of a chunk.
+/// The shortest and the longest policy step, ns: what the gate takes between two targets of a
+/// chunk.
 const STEP_NS_RANGE: core::ops::RangeInclusive<u64> = TICK_NS..=1_000_000_000;
 
-/// Policy steps that are evenly apart. Step k is due k times their length after an episode's begin, and begins at the tick nearest to that.
+/// Policy steps that are evenly apart. Step k is due k times their length after an episode's begin,
+/// and begins at the tick nearest to that.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PolicySteps {
     step_ns: u64,

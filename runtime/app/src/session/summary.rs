@@ -74,14 +74,16 @@ pub struct PolicyCounts {
     /// The task of the demonstrations that a checkpoint was trained on, if it tells.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trained_on: Option<String>,
-    /// SHA-256 of a checkpoint's `model.safetensors`, hexadecimal: its folder may hold other weights later.
+    /// SHA-256 of a checkpoint's `model.safetensors`, hexadecimal: its folder may hold other
+    /// weights later.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights_sha256: Option<String>,
     /// Observations that were answered.
     pub queries: u64,
     /// Chunks that the input gate refused.
     pub refused: u64,
-    /// How often its process was started again, or had to be waited for, after it died or hung; absent if it never did.
+    /// How often its process was started again, or had to be waited for, after it died or hung;
+    /// absent if it never did.
     #[serde(skip_serializing_if = "is_zero")]
     pub restarts: u32,
     /// Time from an observation to the delivery of its chunk.
@@ -110,14 +112,16 @@ pub struct RealTimeCounts {
     pub thread: ThreadCounts,
     /// Log records dropped.
     pub log_dropped: u64,
-    /// How many times slower than the system's the run's clocks went; 1 is real time. See [`crate::rt::slow_motion`].
+    /// How many times slower than the system's the run's clocks went; 1 is real time. See
+    /// [`crate::rt::slow_motion`].
     pub slow_motion: u64,
 }
 
 /// The control thread in its loop.
 #[derive(Clone, Debug, Serialize)]
 pub struct ThreadCounts {
-    /// How often it asked for memory; 0 where the program does not count, see [`crate::rt::CountingAllocator`].
+    /// How often it asked for memory; 0 where the program does not count, see
+    /// [`crate::rt::CountingAllocator`].
     pub allocations: u64,
     /// Its page faults and context switches; each period ends with one voluntary switch.
     pub faults: ThreadFaults,
@@ -172,7 +176,8 @@ pub struct CanArmSummary {
     pub syncs_left_out: u64,
     /// Commands that were not finite or out of range.
     pub commands_refused: u64,
-    /// Whether each of its drives said at the end that it has no torque any more, before its node was stopped.
+    /// Whether each of its drives said at the end that it has no torque any more, before its node
+    /// was stopped.
     pub confirmed_down: bool,
     /// What stopped the arm, if something did.
     pub fault: Option<String>,
@@ -210,7 +215,8 @@ pub struct CanSummary {
 /// What a soft tissue went through: the largest values of a run.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct TissueSummary {
-    /// Force between an instrument as a whole and the tissue after a low pass at 50 Hz, N; a pinch is not in it.
+    /// Force between an instrument as a whole and the tissue after a low pass at 50 Hz, N; a pinch
+    /// is not in it.
     pub force_n_max: f64,
     /// Normal force of one finger on the tissue after the same low pass, N.
     pub squeeze_n_max: f64,
@@ -286,9 +292,11 @@ pub struct RunSummary {
     pub qp: QpCounts,
     /// Ticks in which the guard replaced the candidate by its last verified stop.
     pub guard_interventions: u64,
-    /// How near the measured arms came to each boundary while they held torque: commands keep their distance, an arm lags behind them.
+    /// How near the measured arms came to each boundary while they held torque: commands keep their
+    /// distance, an arm lags behind them.
     pub measured_clearance: Vec<MeasuredClearance>,
-    /// Of each arm the largest distance of a measured part of its instrument from where it was commanded to be, m.
+    /// Of each arm the largest distance of a measured part of its instrument from where it was
+    /// commanded to be, m.
     pub following_error_m: Vec<f64>,
     /// Present in real-time runs.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -371,7 +379,8 @@ pub struct EvalSummary {
     /// The task of the demonstrations that a checkpoint was trained on, if it tells.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trained_on: Option<String>,
-    /// SHA-256 of a checkpoint's `model.safetensors`, hexadecimal: its folder may hold other weights later.
+    /// SHA-256 of a checkpoint's `model.safetensors`, hexadecimal: its folder may hold other
+    /// weights later.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights_sha256: Option<String>,
     /// How many trials were asked for.

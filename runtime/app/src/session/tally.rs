@@ -61,7 +61,8 @@ impl Tally {
         self.guard_interventions += u64::from(any(|report| report.guard_intervened));
     }
 
-    /// Counts one answered observation: how long the policy took, and how long until its chunk was there.
+    /// Counts one answered observation: how long the policy took, and how long until its chunk was
+    /// there.
     pub fn query(&mut self, inference_ns: u64, latency_ns: u64) {
         self.queries += 1;
         self.inference.record(inference_ns);
@@ -84,7 +85,8 @@ impl Tally {
         self.restarts = restarts;
     }
 
-    /// Takes over from `controller` how near the measured arms came to their boundaries, and how far from their commands they were.
+    /// Takes over from `controller` how near the measured arms came to their boundaries, and how
+    /// far from their commands they were.
     pub fn measured(&mut self, controller: &AnyController) {
         self.measured = controller.measured_clearances();
         self.following_errors_m = controller.following_errors_m();

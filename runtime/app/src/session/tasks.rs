@@ -1,4 +1,5 @@
-//! The tasks that a session can run: the built-in ones by name, any other by the path of its folder.
+//! The tasks that a session can run: the built-in ones by name, any other by the path of its
+//! folder.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +15,8 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 /// Scene and safety limits of `task`, a name or the path of a folder.
 ///
 /// # Errors
-/// [`SessionError::BadArgument`] if there is no such task, [`SessionError::Config`] if one of its files can't be read.
+/// [`SessionError::BadArgument`] if there is no such task, [`SessionError::Config`] if one of its
+/// files can't be read.
 pub fn files(task: &str) -> Result<TaskFiles, SessionError> {
     TaskFiles::find(task).map_err(|error| match error {
         TaskError::Config(error) => error.into(),

@@ -1,8 +1,9 @@
 //! Scalars in TensorBoard's event files.
 //!
-//! A file is a row of records: length (u64), its checksum, the message, its checksum; all little-endian. The checksum is CRC-32C,
-//! masked as TensorFlow does. The messages are `tensorflow.Event` of `tensorflow/core/util/event.proto`, of which these are the
-//! fields that are written.
+//! A file is a row of records: length (u64), its checksum, the message, its checksum; all
+//! little-endian. The checksum is CRC-32C, masked as TensorFlow does. The messages are
+//! `tensorflow.Event` of `tensorflow/core/util/event.proto`, of which these are the fields that are
+//! written.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
@@ -63,7 +64,8 @@ pub(super) struct EventFile {
 }
 
 impl EventFile {
-    /// Begins a file in `folder` for what comes after `step`; whatever older files there have of later steps is no longer shown.
+    /// Begins a file in `folder` for what comes after `step`; whatever older files there have of
+    /// later steps is no longer shown.
     ///
     /// `unix_s` is the time since 1970, s.
     pub(super) fn create(folder: &Path, step: u64, unix_s: f64) -> io::Result<Self> {
@@ -112,7 +114,8 @@ impl EventFile {
     }
 
     fn write(&mut self, event: &Event) -> io::Result<()> {
-        // In one piece, so that a cut-off leaves whole records and at most one that readers leave out.
+        // In one piece, so that a cut-off leaves whole records and at most one that readers leave
+        // out.
         self.file.write_all(&record(&event.encode_to_vec()))
     }
 }
@@ -151,7 +154,8 @@ fn record(message: &[u8]) -> Vec<u8> {
     .concat()
 }
 
-/// The checksum as the format stores it: a checksum of data that holds its own checksum would be weak.
+/// The checksum as the format stores it: a checksum of data that holds its own checksum would be
+/// weak.
 const fn masked_crc(data: &[u8]) -> u32 {
     crc32c(data).rotate_right(15).wrapping_add(0xa282_ead8)
 }
@@ -180,7 +184,8 @@ pub(super) mod tests {
     use std::fs;
     use std::path::PathBuf;
 
-    /// All scalars in the event files of `folder` by tag, in the order of the files' names, checksums checked.
+    /// All scalars in the event files of `folder` by tag, in the order of the files' names,
+    /// checksums checked.
     pub(in crate::session) fn scalars(folder: &Path) -> BTreeMap<String, Vec<(i64, f32)>> {
         let mut files: Vec<PathBuf> = fs::read_dir(folder)
             .unwrap()

@@ -1,4 +1,5 @@
-//! What pages of a console look at of a simulated scene: where everything is, and the cameras that some page wants, drawn for it.
+//! What pages of a console look at of a simulated scene: where everything is, and the cameras that
+//! some page wants, drawn for it.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -54,7 +55,8 @@ impl Views {
         Ok(())
     }
 
-    /// Draws one camera of those that pages look at, so that nobody else's frames wait for more than that; whether there was one.
+    /// Draws one camera of those that pages look at, so that nobody else's frames wait for more
+    /// than that; whether there was one.
     ///
     /// # Errors
     /// From the renderer.

@@ -1,4 +1,5 @@
-//! The scene of a world as it travels between processes: what the simulator knows, as plain numbers and back.
+//! The scene of a world as it travels between processes: what the simulator knows, as plain numbers
+//! and back.
 
 use hal::TimeNs;
 use trocar_tasks::scene::{ArmScene, SceneState};
@@ -30,7 +31,8 @@ pub(super) struct WorldState {
 }
 
 impl WorldState {
-    /// That of `simulation`, whose drives are `operational` or not, in an episode that has `begun` or not.
+    /// That of `simulation`, whose drives are `operational` or not, in an episode that has `begun`
+    /// or not.
     pub(super) fn of(simulation: &Simulation, operational: bool, begun: bool) -> Self {
         Self {
             scene: simulation.scene_state(),
@@ -99,7 +101,8 @@ pub(super) struct WorldName {
     pub(super) seed: u64,
 }
 
-/// The report of `state` at `stamp` on the system's clock, the step `sequence` of the episode of `world`.
+/// The report of `state` at `stamp` on the system's clock, the step `sequence` of the episode of
+/// `world`.
 pub(super) fn report(
     stamp: TimeNs,
     sequence: u64,

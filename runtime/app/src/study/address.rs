@@ -16,7 +16,8 @@ pub struct Address(String);
 impl Address {
     /// The address of what `recipe` says.
     ///
-    /// The recipe is hashed as JSON with sorted keys, so that the order of a struct's fields does not matter.
+    /// The recipe is hashed as JSON with sorted keys, so that the order of a struct's fields does
+    /// not matter.
     #[must_use]
     pub fn of(recipe: &serde_json::Value) -> Self {
         let mut hash = Sha256::new();

@@ -49,7 +49,8 @@ impl Axis {
     }
 }
 
-/// Where an evaluation lies in a grid. Trainings that differ in their seed alone lie at the same place.
+/// Where an evaluation lies in a grid. Trainings that differ in their seed alone lie at the same
+/// place.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Coordinates {
     /// The task by its name in the study.

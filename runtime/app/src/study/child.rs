@@ -1,4 +1,5 @@
-//! A verb of this program as a child process: what it says goes to the cell's log, and it ends when its parent does.
+//! A verb of this program as a child process: what it says goes to the cell's log, and it ends when
+//! its parent does.
 
 use std::fs::{self, File, OpenOptions};
 use std::io;
@@ -38,7 +39,8 @@ pub struct Ended {
 impl Running {
     /// Starts `executable` with `arguments`.
     ///
-    /// It holds `lock`, its standard input, so that the cell stays locked until it has ended, even if this process is killed.
+    /// It holds `lock`, its standard input, so that the cell stays locked until it has ended, even
+    /// if this process is killed.
     ///
     /// # Errors
     /// The system's.

@@ -55,7 +55,8 @@ impl Durations {
         }
     }
 
-    /// What a cell of `class` takes, s; by its kind if none of its class is known, and unknown without one of its kind.
+    /// What a cell of `class` takes, s; by its kind if none of its class is known, and unknown
+    /// without one of its kind.
     #[must_use]
     pub fn expected(&self, class: &Class) -> Option<f64> {
         let known = self
@@ -79,8 +80,8 @@ pub struct Left {
 
 /// Time that `left` takes, s, and whether all of it is known.
 ///
-/// Kinds follow each other mostly, since they depend on each other; of one kind as many run as the machine lets. No cell's
-/// own time is cut by others.
+/// Kinds follow each other mostly, since they depend on each other; of one kind as many run as the
+/// machine lets. No cell's own time is cut by others.
 #[must_use]
 pub fn time_left(left: &[Left], durations: &Durations) -> (f64, bool) {
     let mut whole = true;

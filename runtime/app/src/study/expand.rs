@@ -224,7 +224,8 @@ impl Expansion<'_> {
         Ok((address, seen))
     }
 
-    /// Has the recording at `address` made with `count` demonstrations or more: fewer are the first ones of more.
+    /// Has the recording at `address` made with `count` demonstrations or more: fewer are the first
+    /// ones of more.
     fn need_demonstrations(&mut self, address: &Address, count: usize) {
         if let Some(Cell {
             job: Job::Recording(job),
@@ -356,7 +357,8 @@ impl Expansion<'_> {
     fn plan(self, text: &str) -> Result<Plan, StudyError> {
         let addresses: BTreeSet<&Address> =
             self.entries.iter().map(|entry| &entry.evaluation).collect();
-        // How many demonstrations there are to be is part of the grid, though of no recording's address.
+        // How many demonstrations there are to be is part of the grid, though of no recording's
+        // address.
         let grid = Address::of(&serde_json::json!({ "evaluations": addresses }));
         let cells = self.sorted();
         let record = StudyRecord {

@@ -52,7 +52,8 @@ pub struct RunSection {
     pub eval_jobs: usize,
     /// Whose log and pictures evaluations keep: `none`, `failures` or `all`.
     pub keep: Keep,
-    /// Whether a recording's data stays once nothing left to do needs it; what says that it is done always stays.
+    /// Whether a recording's data stays once nothing left to do needs it; what says that it is done
+    /// always stays.
     pub keep_recordings: bool,
 }
 
@@ -229,7 +230,8 @@ pub struct NetworkSection {
     pub checkpoint: Option<String>,
     /// Sizes and recipe; the policy's default if not given.
     pub preset: Option<String>,
-    /// Cameras that demonstrations are recorded with for it: `single`, `multi`, or names with commas between them.
+    /// Cameras that demonstrations are recorded with for it: `single`, `multi`, or names with
+    /// commas between them.
     pub cameras: Option<String>,
     /// Optimiser steps; the preset's if not given.
     pub steps: Option<u64>,
@@ -283,15 +285,17 @@ pub struct RecordingSection {
     pub title: Option<String>,
     /// Seed of the first attempt.
     pub seed: u64,
-    /// Cameras that are recorded, of which each network sees its own: one recording for all of them. If not given, there is one for
-    /// each network's cameras.
+    /// Cameras that are recorded, of which each network sees its own: one recording for all of
+    /// them. If not given, there is one for each network's cameras.
     pub cameras: Option<String>,
     /// Whether depth is recorded, whoever needs it: likewise.
     #[serde(default)]
     pub depth: bool,
-    /// Share of the demonstrations that are disturbed, with the expert's recovery (`record --disturb`).
+    /// Share of the demonstrations that are disturbed, with the expert's recovery (`record
+    /// --disturb`).
     pub disturb: Option<f64>,
-    /// What is randomised: `needles`, `views`, `light`, `lens`, or effects of `lens` (`record --vary`).
+    /// What is randomised: `needles`, `views`, `light`, `lens`, or effects of `lens` (`record
+    /// --vary`).
     #[serde(default)]
     pub vary: Vec<String>,
     /// Further options of `trocar record`.

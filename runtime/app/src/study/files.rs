@@ -16,7 +16,8 @@ pub struct FileRecord {
     pub path: PathBuf,
     /// Its length.
     pub bytes: u64,
-    /// When it was last written, ns since 1970: if that is the same still, its hash is not computed again.
+    /// When it was last written, ns since 1970: if that is the same still, its hash is not computed
+    /// again.
     pub modified_ns: i128,
     /// Its hash.
     pub sha256: String,

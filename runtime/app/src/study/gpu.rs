@@ -9,7 +9,8 @@ use hal::TimeNs;
 /// Polling period for the memory.
 const EVERY_NS: u64 = 3_000_000_000;
 
-/// The names of GPUs by what `CUDA_VISIBLE_DEVICES` calls them; none where there is no `nvidia-smi`.
+/// The names of GPUs by what `CUDA_VISIBLE_DEVICES` calls them; none where there is no
+/// `nvidia-smi`.
 #[must_use]
 pub fn names() -> BTreeMap<String, String> {
     let asked = Command::new("nvidia-smi")

@@ -1,4 +1,5 @@
-//! What the cells of a study are made of. Everything that is serialised here is part of a cell's address.
+//! What the cells of a study are made of. Everything that is serialised here is part of a cell's
+//! address.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -1,4 +1,5 @@
-//! What the files behind a study contain, as hashes: what they were when a cell was made is part of its address.
+//! What the files behind a study contain, as hashes: what they were when a cell was made is part of
+//! its address.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -31,8 +32,9 @@ pub struct Materials {
     pub checkpoints: BTreeMap<String, (String, PathBuf)>,
 }
 
-/// What stands for the program in addresses: its version, the network library's, and the hash of the executable at
-/// `executable`. Whoever knows better gives a `label`, which takes the place of all that.
+/// What stands for the program in addresses: its version, the network library's, and the hash of
+/// the executable at `executable`. Whoever knows better gives a `label`, which takes the place of
+/// all that.
 ///
 /// # Errors
 /// [`StudyError::Io`].
@@ -121,8 +123,8 @@ impl Materials {
         })
     }
 
-    /// Hash of the scene in the file `other`, or of the task's `own`. A scene with a patient is another one with another
-    /// patient.
+    /// Hash of the scene in the file `other`, or of the task's `own`. A scene with a patient is
+    /// another one with another patient.
     fn scene_hash(
         &self,
         key: &str,

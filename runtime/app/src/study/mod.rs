@@ -1,7 +1,9 @@
-//! Studies: a grid of recordings, trainings and evaluations, made cell by cell by child processes of this program.
+//! Studies: a grid of recordings, trainings and evaluations, made cell by cell by child processes
+//! of this program.
 //!
-//! A cell's address is the hash of everything that makes it, so that what is done is never done again, in whichever study
-//! or shard it is needed; one that was cut off goes on; one that fails hinders only what depends on it.
+//! A cell's address is the hash of everything that makes it, so that what is done is never done
+//! again, in whichever study or shard it is needed; one that was cut off goes on; one that fails
+//! hinders only what depends on it.
 
 pub mod address;
 pub mod axis;

@@ -76,7 +76,8 @@ pub(super) fn places(file: &StudyFile, grid: &GridSection) -> Vec<Coordinates> {
     distinct(file, places)
 }
 
-/// Each of `places` once, without what only the training of a network depends on where none is trained.
+/// Each of `places` once, without what only the training of a network depends on where none is
+/// trained.
 fn distinct(file: &StudyFile, mut places: Vec<Coordinates>) -> Vec<Coordinates> {
     let mut seen = BTreeSet::new();
     places.retain_mut(|at| {

@@ -159,8 +159,9 @@ impl Plan {
 
     /// The cells of `shard`, or all.
     ///
-    /// What is dealt out is trainings, each with the evaluations that need it, and evaluations that need none; in order of
-    /// their addresses, in which neither tasks nor networks follow a pattern. Every shard has the recordings that it needs.
+    /// What is dealt out is trainings, each with the evaluations that need it, and evaluations that
+    /// need none; in order of their addresses, in which neither tasks nor networks follow a
+    /// pattern. Every shard has the recordings that it needs.
     #[must_use]
     pub fn part(&self, shard: Option<Shard>) -> BTreeSet<Address> {
         let Some(shard) = shard else {

@@ -66,7 +66,8 @@ impl Evaluated {
     }
 }
 
-/// Checks that the result at `path` is what `job` asked for; gives the hash of the weights that it is of, if it reports one.
+/// Checks that the result at `path` is what `job` asked for; gives the hash of the weights that it
+/// is of, if it reports one.
 ///
 /// # Errors
 /// What is wrong with it.

@@ -1,4 +1,5 @@
-//! Runs a study: starts every cell whose inputs are done, as many at a time as the machine has room for.
+//! Runs a study: starts every cell whose inputs are done, as many at a time as the machine has room
+//! for.
 
 mod begin;
 mod end;
@@ -102,7 +103,8 @@ struct Runner<'a> {
     cells: Vec<&'a Cell>,
     /// Those of the whole study, other shards' too.
     all: Vec<&'a Cell>,
-    /// Places among them in the order in which they are begun if they can be: what is nearest to a result is first.
+    /// Places among them in the order in which they are begun if they can be: what is nearest to a
+    /// result is first.
     order: Vec<usize>,
     places: BTreeMap<&'a Address, usize>,
     status: Vec<Status>,

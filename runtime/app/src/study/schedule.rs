@@ -3,7 +3,8 @@
 use super::file::{RunSection, StudyFile};
 use super::job::{Job, Kind};
 
-/// A GPU as shares. Trainings have one such whole, and evaluations another, so that none waits for the others' end.
+/// A GPU as shares. Trainings have one such whole, and evaluations another, so that none waits for
+/// the others' end.
 const WHOLE_GPU: usize = 1_000_000;
 
 /// What a machine has for a study.

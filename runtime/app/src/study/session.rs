@@ -67,7 +67,8 @@ impl Study {
         Ok(study)
     }
 
-    /// Shards of one grid belong together; a whole study may take the place of an earlier one, whose cells it shares.
+    /// Shards of one grid belong together; a whole study may take the place of an earlier one,
+    /// whose cells it shares.
     fn check_folder(&self) -> Result<(), StudyError> {
         let (Some(there), Some(_)) = (self.store.study()?, self.options.shard) else {
             return Ok(());

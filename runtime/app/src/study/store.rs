@@ -68,7 +68,8 @@ pub enum State {
     Begun,
     /// It is done.
     Done(Box<Manifest>),
-    /// It is done, and some of what it made (a dataset, weights, logs) is not here any more; its result is.
+    /// It is done, and some of what it made (a dataset, weights, logs) is not here any more; its
+    /// result is.
     Bare(Box<Manifest>),
     /// Something is there that is not what was written.
     Damaged(String),
@@ -104,7 +105,8 @@ const fn product_name(kind: Kind) -> &'static str {
     }
 }
 
-/// The folder, below its own, of the checkpoint that an evaluation executes otherwise than it says of itself.
+/// The folder, below its own, of the checkpoint that an evaluation executes otherwise than it says
+/// of itself.
 pub const EXECUTED: &str = "policy";
 
 impl Store {
@@ -138,7 +140,8 @@ impl Store {
         self.cell(kind, address).join("result.json")
     }
 
-    /// How a cell stands. Of its files only lengths and times are looked at, and contents where the time is another.
+    /// How a cell stands. Of its files only lengths and times are looked at, and contents where the
+    /// time is another.
     #[must_use]
     pub fn state(&self, kind: Kind, address: &Address) -> State {
         let folder = self.cell(kind, address);
@@ -174,8 +177,8 @@ impl Store {
             })
     }
 
-    /// Lays what says that a cell is done aside, so that it is made anew; until it is, [`Self::put_back`] undoes it. The caller holds
-    /// its lock.
+    /// Lays what says that a cell is done aside, so that it is made anew; until it is,
+    /// [`Self::put_back`] undoes it. The caller holds its lock.
     ///
     /// # Errors
     /// [`StudyError::Io`].
@@ -189,8 +192,8 @@ impl Store {
         Ok(())
     }
 
-    /// Lays what was laid aside back in its place, unless the cell was made anew meanwhile, or what it makes is there in part: that is
-    /// resumed. The caller holds its lock.
+    /// Lays what was laid aside back in its place, unless the cell was made anew meanwhile, or what
+    /// it makes is there in part: that is resumed. The caller holds its lock.
     ///
     /// # Errors
     /// [`StudyError::Io`].

@@ -52,11 +52,11 @@ fn addresses(plan: &Plan, kind: Kind) -> Vec<&str> {
 #[test]
 fn the_papers_studies_are_one_grid_that_shares_its_cells() {
     let plan = plan(SUFIA_BC);
-    // 20 of disturbed demonstrations, 50 short ones of 10 to 50; of the lift alone 4 each of plain ones, of varied needles and of moved
-    // cameras.
+    // 20 of disturbed demonstrations, 50 short ones of 10 to 50; of the lift alone 4 each of plain
+    // ones, of varied needles and of moved cameras.
     assert_eq!(count(&plan, Kind::Training), 20 + 50 + 4 + 4 + 4);
-    // With one camera, with several, and with one and its depth: of disturbed demonstrations, the lift's varied needles and its moved
-    // cameras; of plain ones the last two and the lift's first.
+    // With one camera, with several, and with one and its depth: of disturbed demonstrations, the
+    // lift's varied needles and its moved cameras; of plain ones the last two and the lift's first.
     assert_eq!(count(&plan, Kind::Recording), 3 * 5 + 3 + 3 + 2 * 5 + 1);
     let table: Vec<_> = plan
         .record

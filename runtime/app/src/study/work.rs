@@ -186,7 +186,8 @@ impl Workshop<'_> {
         remove(&self.places(cell).product)
     }
 
-    /// Removes the data of a done recording; what says that it is done stays. The caller holds its lock.
+    /// Removes the data of a done recording; what says that it is done stays. The caller holds its
+    /// lock.
     ///
     /// # Errors
     /// [`StudyError::Io`].
@@ -251,8 +252,8 @@ pub fn texts(arguments: &[OsString]) -> Vec<String> {
     arguments.iter().map(text).collect()
 }
 
-/// A checkpoint like the one in `from` whose chunks are executed as `execution` says: its files by link, but for
-/// `trocar.json`.
+/// A checkpoint like the one in `from` whose chunks are executed as `execution` says: its files by
+/// link, but for `trocar.json`.
 fn executed_otherwise(
     from: &Path,
     to: &Path,

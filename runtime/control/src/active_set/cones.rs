@@ -121,7 +121,8 @@ impl<const N: usize> Cones<N> {
         Ok(())
     }
 
-    /// Whether `x` is in all cones, but for `tolerance` in units of `x`, at most a hundred times that in units of the radius.
+    /// Whether `x` is in all cones, but for `tolerance` in units of `x`, at most a hundred times
+    /// that in units of the radius.
     pub(super) fn hold(&self, x: &[f64; N], tolerance: f64) -> bool {
         self.cones.iter().take(self.used).all(|cone| {
             let value = cone.value(x);
@@ -158,8 +159,9 @@ impl<const N: usize> Cones<N> {
             .ok_or(Failure::Infeasible)
     }
 
-    /// Adds the second derivative of `multiplier |M d + o|` to `hessian`, at the boundary nearest to `x`. There the cone curves
-    /// more than at an `x` outside, so the model is stiffer and its steps fall back to the boundary.
+    /// Adds the second derivative of `multiplier |M d + o|` to `hessian`, at the boundary nearest
+    /// to `x`. There the cone curves more than at an `x` outside, so the model is stiffer and its
+    /// steps fall back to the boundary.
     pub(super) fn add_curvature(
         &self,
         cone: usize,

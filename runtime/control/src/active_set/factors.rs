@@ -1,10 +1,12 @@
-//! The factors that a dual active-set method keeps: `J' G J = 1` and `J' N = [R; 0]`, `N` the active rows. Hot path.
+//! The factors that a dual active-set method keeps: `J' G J = 1` and `J' N = [R; 0]`, `N` the
+//! active rows. Hot path.
 
 use super::Failure;
 
 /// A pivot of the Cholesky factor below this part of its diagonal entry is not positive.
 const PIVOT_MIN: f64 = 1e-14;
-/// A row whose part outside the active rows' span is shorter than this (squared, relative) depends on them.
+/// A row whose part outside the active rows' span is shorter than this (squared, relative) depends
+/// on them.
 const DEPENDENT_SQUARED: f64 = 1e-22;
 
 /// `a . b`.
@@ -120,7 +122,8 @@ impl<const N: usize> Factors<N> {
             return false;
         }
         let mut projected = seen.projected;
-        // The longest entry leads: entries that are zero, and so their columns, stay out of the reflection.
+        // The longest entry leads: entries that are zero, and so their columns, stay out of the
+        // reflection.
         let mut lead = first;
         for j in first..N {
             if projected[j].abs() > projected[lead].abs() {
@@ -164,7 +167,8 @@ impl<const N: usize> Factors<N> {
         }
     }
 
-    /// Rotates rows `j` and `j + 1` of `R`, and the columns of `J`, so that column `j` ends on the diagonal.
+    /// Rotates rows `j` and `j + 1` of `R`, and the columns of `J`, so that column `j` ends on the
+    /// diagonal.
     fn rotate(&mut self, j: usize) {
         assert!(j + 1 < N, "the last row has none behind it");
         let (upper, lower) = (self.triangle[j][j], self.triangle[j][j + 1]);
@@ -189,7 +193,8 @@ impl<const N: usize> Factors<N> {
         }
     }
 
-    /// The minimum of `p' G p / 2 + gradient . p` on the active rows, `c . p = right`, and their multipliers.
+    /// The minimum of `p' G p / 2 + gradient . p` on the active rows, `c . p = right`, and their
+    /// multipliers.
     pub(super) fn minimum(&self, gradient: &[f64; N], right: &[f64; N]) -> ([f64; N], [f64; N]) {
         let mut along = [0.0; N];
         for k in 0..self.count.min(N) {

@@ -200,7 +200,8 @@ impl<const N: usize> Method<N> {
         TOLERANCE * (1.0 + largest(&self.x))
     }
 
-    /// Makes `entering` active while every active row keeps its equality and the optimality conditions hold.
+    /// Makes `entering` active while every active row keeps its equality and the optimality
+    /// conditions hold.
     fn enter(&mut self, mut entering: Active<N>) -> Result<Entry, Failure> {
         loop {
             self.count_iteration()?;
@@ -267,8 +268,8 @@ impl<const N: usize> Method<N> {
         self.active_count -= 1;
     }
 
-    /// The point and the multipliers anew from the factors, without the rounding of the steps. Returns the least multiplier,
-    /// and whose it is.
+    /// The point and the multipliers anew from the factors, without the rounding of the steps.
+    /// Returns the least multiplier, and whose it is.
     pub(super) fn refresh(&mut self) -> (f64, usize) {
         let mut right = [0.0; N];
         for (right, active) in right.iter_mut().zip(&self.active).take(self.active_count) {

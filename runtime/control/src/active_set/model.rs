@@ -1,4 +1,5 @@
-//! Cones met by a sequence of quadratic models with the cones' curvature: Newton's method with inequalities. Hot path.
+//! Cones met by a sequence of quadratic models with the cones' curvature: Newton's method with
+//! inequalities. Hot path.
 
 use super::CONES_MAX;
 use super::Failure;
@@ -7,10 +8,12 @@ use super::method::{Entry, Method, largest};
 
 /// Models of one problem.
 const MODELS_MAX: u32 = 40;
-/// After a step shorter than this, in units of `1 + max |d|`, the next changes nothing: convergence is quadratic.
+/// After a step shorter than this, in units of `1 + max |d|`, the next changes nothing: convergence
+/// is quadratic.
 const CONVERGED: f64 = 1e-7;
-/// A multiplier that vanishes fades by this from model to model. Without, a cone that is hardly active in one model would be
-/// forgotten in the next, and a few tight cones could take turns for ever.
+/// A multiplier that vanishes fades by this from model to model. Without, a cone that is hardly
+/// active in one model would be forgotten in the next, and a few tight cones could take turns for
+/// ever.
 const FADING: f64 = 0.25;
 /// A cone may be violated by this, in units of `1 + max |d|`.
 const TOLERANCE: f64 = 1e-12;
@@ -48,8 +51,8 @@ impl<const N: usize> Method<N> {
         forces
     }
 
-    /// Puts half-spaces at the point in the place of the cones, and the cones' curvature into the factors. False if a cone
-    /// curves the model more than its multiplier does.
+    /// Puts half-spaces at the point in the place of the cones, and the cones' curvature into the
+    /// factors. False if a cone curves the model more than its multiplier does.
     fn set_model(&mut self) -> Result<bool, Failure> {
         let pushing = self.forces();
         let forces = self.fade(pushing);
@@ -72,7 +75,8 @@ impl<const N: usize> Method<N> {
         for ((slope, curved), plain) in self.slope.iter_mut().zip(&hessian).zip(&self.hessian) {
             *slope = dot(plain, &self.x) - dot(curved, &self.x);
         }
-        // With a positive definite Hessian only multipliers without bound fail: the cones and rows do not meet.
+        // With a positive definite Hessian only multipliers without bound fail: the cones and rows
+        // do not meet.
         self.factors
             .start(&hessian)
             .map_err(|_| Failure::Infeasible)?;

@@ -1,4 +1,5 @@
-//! The linear rows, scaled to length one and laid out so that four are evaluated at a time. Hot path.
+//! The linear rows, scaled to length one and laid out so that four are evaluated at a time. Hot
+//! path.
 
 use super::{Failure, LinearRow, ROWS_MAX};
 

@@ -9,8 +9,9 @@ use super::{ArmConfig, ControlConfig, Margins};
 use crate::motion::{AXES, AxisLimits, JAW};
 use crate::region::Block;
 
-/// How long a measured arm is behind its setpoints, s: in free motion the simulated drives, with the dVRK's gains and a period each for the
-/// setpoint's way there and the measurement's way back, are 0.52 mm behind at 0.141 m/s (five tasks, random policy).
+/// How long a measured arm is behind its setpoints, s: in free motion the simulated drives, with
+/// the dVRK's gains and a period each for the setpoint's way there and the measurement's way back,
+/// are 0.52 mm behind at 0.141 m/s (five tasks, random policy).
 const LAG_S: f64 = 0.004;
 
 /// What of it is the drives' own, s.
@@ -61,9 +62,10 @@ fn gained(axis: &AxisLimits) -> f64 {
         .min(axis.acceleration * axis.acceleration / (2.0 * axis.jerk))
 }
 
-/// The greatest distance from the remote centre to the wrist, m: by the insertion's range, and by the workspace, in which the control point
-/// stays. The wrist is bent by less than a right angle, so it is nearer than the control point. At the shipped limits the insertion's range alone
-/// keeps the gain so low that the shipped margins hold it in every workspace.
+/// The greatest distance from the remote centre to the wrist, m: by the insertion's range, and by
+/// the workspace, in which the control point stays. The wrist is bent by less than a right angle,
+/// so it is nearer than the control point. At the shipped limits the insertion's range alone keeps
+/// the gain so low that the shipped margins hold it in every workspace.
 fn wrist_distance_m(axes: &[AxisLimits; AXES], arms: &[ArmConfig]) -> f64 {
     let deepest_m = axes[INSERTION].high - RCC_M + TOOL_M;
     let corners = arms.iter().map(|arm| furthest_corner_m(&arm.workspace));
@@ -76,11 +78,14 @@ fn furthest_corner_m(workspace: &Block) -> f64 {
     (local_m.abs() + workspace.half_m).norm()
 }
 
-/// The guard judges setpoints, and keeps how far the measured arm is off beyond its margin; what filter and tracking plan must leave that
-/// free, or the guard would refuse it. What an instrument does between two of them must be within its margin, and by how much further than
-/// it is measured to be the arm falls behind during a stop: with a jerk limit it is faster than at the stop's begin before it is slower.
+/// The guard judges setpoints, and keeps how far the measured arm is off beyond its margin; what
+/// filter and tracking plan must leave that free, or the guard would refuse it. What an instrument
+/// does between two of them must be within its margin, and by how much further than it is measured
+/// to be the arm falls behind during a stop: with a jerk limit it is faster than at the stop's
+/// begin before it is slower.
 ///
-/// No point of the instrument is further than half a tick's way from where it is at the nearer of two setpoints.
+/// No point of the instrument is further than half a tick's way from where it is at the nearer of
+/// two setpoints.
 pub(super) fn check_tick(
     safety: &Source,
     margins: &Margins,
@@ -128,12 +133,14 @@ fn least_text(margin_m: f64) -> String {
 }
 
 impl ControlConfig {
-    /// What a person should know before arms are enabled whose setpoints take effect at a SYNC every `cycle_ns`: a line for each margin that
-    /// is smaller than their lag, none if the margins hold it. The guard's comes first: the filter's is for the guard margin which that asks for.
+    /// What a person should know before arms are enabled whose setpoints take effect at a SYNC
+    /// every `cycle_ns`: a line for each margin that is smaller than their lag, none if the margins
+    /// hold it. The guard's comes first: the filter's is for the guard margin which that asks for.
     ///
-    /// A drive goes to a setpoint within the cycle after the SYNC, which is a cycle of lag. What it then measures is read from the next SYNC on,
-    /// up to the last period before the one after: measured arms are up to three cycles behind, less a period. To both comes the drive's
-    /// own lag, for which the simulated drives' stands.
+    /// A drive goes to a setpoint within the cycle after the SYNC, which is a cycle of lag. What it
+    /// then measures is read from the next SYNC on, up to the last period before the one after:
+    /// measured arms are up to three cycles behind, less a period. To both comes the drive's own
+    /// lag, for which the simulated drives' stands.
     #[must_use]
     pub fn lag_beyond_margins(&self, cycle_ns: u64) -> Vec<String> {
         let cycle_s = TimeNs(cycle_ns).seconds();
@@ -283,7 +290,8 @@ mod tests {
         );
     }
 
-    /// The insertion's range bounds how far away the wrist is, however large the workspace; one that can't be reached is said to be that.
+    /// The insertion's range bounds how far away the wrist is, however large the workspace; one
+    /// that can't be reached is said to be that.
     #[test]
     fn the_shipped_margins_hold_in_every_workspace_that_is_reached() {
         let judged = |low: &str, high: &str, guard: &str| {
@@ -316,7 +324,8 @@ mod tests {
         );
     }
 
-    /// At 1 kHz, as the simulated drives, and at 500 Hz the shipped margins hold the lag; at 250 Hz neither of them does.
+    /// At 1 kHz, as the simulated drives, and at 500 Hz the shipped margins hold the lag; at 250 Hz
+    /// neither of them does.
     #[test]
     fn margins_smaller_than_the_lag_on_can_are_named() {
         let config = loaded(&[], &[]).unwrap();
@@ -342,7 +351,8 @@ mod tests {
                 && filter.ends_with("margins.filter_m >= 0.00221 hold it"),
             "{filter}"
         );
-        // What the lines ask for silences them; the guard's alone does not, and neither does the filter's.
+        // What the lines ask for silences them; the guard's alone does not, and neither does the
+        // filter's.
         let with = |guard: &str, filter: &str| {
             let changes = [("guard_m = 0.0003", guard), ("filter_m = 0.0015", filter)];
             let changed = loaded(&[], &changes).unwrap();

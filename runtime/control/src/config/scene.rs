@@ -1,4 +1,5 @@
-//! A task's `safety.toml`: arms, margins and forbidden regions, from the scene's frame into each arm's.
+//! A task's `safety.toml`: arms, margins and forbidden regions, from the scene's frame into each
+//! arm's.
 
 use hal::config::{ConfigError, Source, number_text};
 use hal::joints::INSERTION;
@@ -146,7 +147,8 @@ pub(super) fn check_reach(
 /// Places along each edge of a box that are looked at.
 const PLACES: u32 = 24;
 
-/// Whether the control point reaches some place of `workspace`, or one that the wrist may bend to from there, with the wrist straight.
+/// Whether the control point reaches some place of `workspace`, or one that the wrist may bend to
+/// from there, with the wrist straight.
 fn reaches(workspace: &Block, axes: &[AxisLimits; AXES]) -> bool {
     let [yaw, pitch, ..] = axes;
     let insertion = &axes[INSERTION];

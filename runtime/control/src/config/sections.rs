@@ -66,7 +66,8 @@ fn linear(source: &Source, name: &str, axis: &LinearAxis) -> Result<AxisLimits, 
     let check = |key: &str, value: f64, low: f64, high: f64| {
         source.check_range(&format!("limits.{name}.{key}"), value, low, high)
     };
-    // Shallower than 20 mm the wrist comes too near to the remote centre for the inverse kinematics.
+    // Shallower than 20 mm the wrist comes too near to the remote centre for the inverse
+    // kinematics.
     check("low_m", axis.low_m, 0.02, POSITION_MAX[INSERTION])?;
     check("high_m", axis.high_m, axis.low_m, POSITION_MAX[INSERTION])?;
     check(

@@ -1,11 +1,12 @@
-//! The nearest point of a segment to a box in the box's own frame. Hot path: bounded, no allocation, no I/O, no lock.
+//! The nearest point of a segment to a box in the box's own frame. Hot path: bounded, no
+//! allocation, no I/O, no lock.
 
 use nalgebra::Vector3;
 
 use super::{Nearest, TOUCHING_M};
 
-/// Where the segment from `start_m` along `along` is nearest to the box of half size `half_m` about the origin or, if they
-/// meet, deepest in it.
+/// Where the segment from `start_m` along `along` is nearest to the box of half size `half_m` about
+/// the origin or, if they meet, deepest in it.
 pub(super) fn nearest(
     start_m: &Vector3<f64>,
     along: &Vector3<f64>,
@@ -23,7 +24,8 @@ pub(super) fn nearest(
     }
 }
 
-/// How far a point is from the surface of the box, m, negative inside, and the surface's normal there.
+/// How far a point is from the surface of the box, m, negative inside, and the surface's normal
+/// there.
 fn to_surface(point_m: &Vector3<f64>, half_m: &Vector3<f64>) -> (f64, Vector3<f64>) {
     let beyond = point_m.abs() - half_m;
     let excess = beyond.sup(&Vector3::zeros());
@@ -62,8 +64,8 @@ fn span_within(
 
 /// The fraction between `enter` and `leave` at which the segment is deepest.
 ///
-/// Inside, the signed distance is the highest of six linear functions, one a face: it is least at an end or where two of them
-/// meet.
+/// Inside, the signed distance is the highest of six linear functions, one a face: it is least at
+/// an end or where two of them meet.
 fn deepest(
     start_m: &Vector3<f64>,
     along: &Vector3<f64>,
@@ -98,8 +100,8 @@ fn deepest(
 
 /// The fraction at which a segment that does not meet the box is nearest to it.
 ///
-/// The squared distance is convex with a continuous slope that is linear between the fractions at which the segment passes a
-/// face's plane.
+/// The squared distance is convex with a continuous slope that is linear between the fractions at
+/// which the segment passes a face's plane.
 fn nearest_outside(start_m: &Vector3<f64>, along: &Vector3<f64>, half_m: &Vector3<f64>) -> f64 {
     let slope = |fraction: f64| {
         let mut sum = 0.0;

@@ -214,7 +214,8 @@ fn no_sampled_pair_of_points_of_two_segments_is_nearer() {
             crossed += 1;
         }
         for i in 0..=200 {
-            // The other segment's nearest point to a sampled one is exact, so one loop samples both.
+            // The other segment's nearest point to a sampled one is exact, so one loop samples
+            // both.
             let p = on(a, f64::from(i) / 200.0);
             let q = on(b, f64::from(i) / 200.0);
             let to_b = (p - on(b, fraction_nearest(&p, &b.0, &b.1))).norm();

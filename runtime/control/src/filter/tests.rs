@@ -198,7 +198,8 @@ fn nan_stops_the_arm_and_the_next_problem_is_solved_again() {
     assert_eq!(case.filter(&good), before);
 }
 
-/// Every row has a name; the rows that a solution touches are those that the filter counts, an axis given by its bounds apart.
+/// Every row has a name; the rows that a solution touches are those that the filter counts, an axis
+/// given by its bounds apart.
 #[test]
 fn active_rows_have_names() {
     for arms in [1, 2] {

@@ -136,7 +136,8 @@ fn an_old_observation_is_stale() {
     );
 }
 
-/// After a hold of the run's own only a chunk that starts where the arm is ends the wait for one; order and age count as before.
+/// After a hold of the run's own only a chunk that starts where the arm is ends the wait for one;
+/// order and age count as before.
 #[test]
 fn an_arm_goes_on_from_where_it_is() {
     let mut gate = Gate::new(LIMITS);

@@ -1,5 +1,5 @@
-//! One arm's part of the guard: the stop that it holds, and the check of another. Hot path: bounded, no allocation, no I/O, no
-//! lock.
+//! One arm's part of the guard: the stop that it holds, and the check of another. Hot path:
+//! bounded, no allocation, no I/O, no lock.
 
 mod axes;
 
@@ -42,7 +42,8 @@ pub(super) struct ArmGuard {
     tick_s: f64,
     /// Clearances that a stop must keep: the margin, or less where the arm was enabled without it.
     floors: Clearances,
-    /// Position ranges that a stop must keep: the limits, or wider where the arm was enabled beyond them.
+    /// Position ranges that a stop must keep: the limits, or wider where the arm was enabled beyond
+    /// them.
     ranges: [(f64, f64); AXES],
     held: Path,
     played_s: f64,
@@ -50,7 +51,8 @@ pub(super) struct ArmGuard {
     fresh: Path,
     /// What the last candidate's stop keeps at least.
     least: Clearances,
-    /// What it had to keep: the floors, and where the candidate is beyond a boundary hardly less than it has itself.
+    /// What it had to keep: the floors, and where the candidate is beyond a boundary hardly less
+    /// than it has itself.
     required: Clearances,
     /// What the stops up to now kept of margin and deviation together.
     kept: Clearances,
@@ -160,7 +162,8 @@ impl ArmGuard {
         }
     }
 
-    /// The next state of the stop that is held. Boundaries close in behind it as behind any command.
+    /// The next state of the stop that is held. Boundaries close in behind it as behind any
+    /// command.
     pub(super) fn play(&mut self) -> MotionState {
         self.played_s += self.tick_s;
         let state = self.held.stop.at(self.played_s);
@@ -173,7 +176,8 @@ impl ArmGuard {
         state
     }
 
-    /// Stores the deviation of the measured arm from the commanded one, and its pose if it was measured.
+    /// Stores the deviation of the measured arm from the commanded one, and its pose if it was
+    /// measured.
     pub(super) fn observe(&mut self, deviation: &Deviation, measured: Option<&Instrument>) {
         self.deviation = *deviation;
         if let Some(measured) = measured {
@@ -202,8 +206,8 @@ impl ArmGuard {
         self.fresh.sweep.rest(0.0)
     }
 
-    /// Whether `candidate` follows from `current` within the limits and its stop keeps all of them. If so, it may be
-    /// [committed](Self::commit).
+    /// Whether `candidate` follows from `current` within the limits and its stop keeps all of them.
+    /// If so, it may be [committed](Self::commit).
     pub(super) fn verify(&mut self, current: &MotionState, candidate: &MotionState) -> bool {
         if !self.follows(current, candidate) {
             return false;
@@ -217,8 +221,8 @@ impl ArmGuard {
 
     /// Holds the stop that was verified last.
     ///
-    /// Boundaries that were passed when the arm was enabled come back with the arm, as far as this stop leaves them behind:
-    /// it must still be allowed once it is played.
+    /// Boundaries that were passed when the arm was enabled come back with the arm, as far as this
+    /// stop leaves them behind: it must still be allowed once it is played.
     pub(super) fn commit(&mut self) {
         core::mem::swap(&mut self.held, &mut self.fresh);
         self.played_s = 0.0;
@@ -280,7 +284,8 @@ impl ArmGuard {
         true
     }
 
-    /// Which clearances the stop can bring near, `h` being the first ones; the least of the others is certain already.
+    /// Which clearances the stop can bring near, `h` being the first ones; the least of the others
+    /// is certain already.
     fn look_for(
         &mut self,
         h: &Clearances,
@@ -328,8 +333,8 @@ impl ArmGuard {
         self.tip_keeps(before, after, bounds)
     }
 
-    /// What clearance `index` does not fall below between two samples, m, as exactly as it takes to tell whether that is at least
-    /// `closing_m` and needs no recovery.
+    /// What clearance `index` does not fall below between two samples, m, as exactly as it takes to
+    /// tell whether that is at least `closing_m` and needs no recovery.
     fn lowest_between(
         &self,
         index: usize,

@@ -1,5 +1,5 @@
-//! How far and how sharply the instrument's points can move between two samples of a stop. Hot path: bounded, no allocation, no
-//! I/O, no lock.
+//! How far and how sharply the instrument's points can move between two samples of a stop. Hot
+//! path: bounded, no allocation, no I/O, no lock.
 
 use hal::joints::INSERTION;
 use hal::psm::{FINGER_M, JAW_MAX, WRIST_M};
@@ -31,7 +31,8 @@ impl Bounds {
         gap_s: f64,
     ) -> Self {
         let speeds = core::array::from_fn(|axis| {
-            // Between two samples a velocity leaves the line through them by an eighth of the jerk times the gap squared.
+            // Between two samples a velocity leaves the line through them by an eighth of the jerk
+            // times the gap squared.
             let bulge = axes[axis].jerk * gap_s * gap_s / 8.0;
             (before.velocity[axis].abs().max(after.velocity[axis].abs()) + bulge)
                 .min(stop.axes()[axis].peak_velocity())
@@ -71,8 +72,9 @@ impl Bounds {
     }
 }
 
-/// How often the fingers' opening can meet one of its ends, between which alone the jaw moves them, in half a gap in which the
-/// jaw moves `half` rad: a stop turns back at most once, so twice for each end that is near.
+/// How often the fingers' opening can meet one of its ends, between which alone the jaw moves them,
+/// in half a gap in which the jaw moves `half` rad: a stop turns back at most once, so twice for
+/// each end that is near.
 fn jaw_ends_passed(before: f64, after: f64, half: f64) -> f64 {
     let (low, high) = (before.min(after) - half, before.max(after) + half);
     let near = |end: f64| if low <= end && high >= end { 2.0 } else { 0.0 };
@@ -90,9 +92,10 @@ struct Reach {
 impl Reach {
     /// Speed and acceleration that no point of the shaft exceeds.
     ///
-    /// The wrist is at `L s` with `s` turning about yaw and pitch, which are at right angles, and the shaft's points are
-    /// fractions of it: `(L s)'' = L'' s + 2 L' s' + L s''`, where `s''` holds the joints' accelerations, at right angles to
-    /// `s`, the turning of the pitch axis with yaw, and the centripetal part.
+    /// The wrist is at `L s` with `s` turning about yaw and pitch, which are at right angles, and
+    /// the shaft's points are fractions of it: `(L s)'' = L'' s + 2 L' s' + L s''`, where `s''`
+    /// holds the joints' accelerations, at right angles to `s`, the turning of the pitch axis with
+    /// yaw, and the centripetal part.
     fn shaft(&self) -> (f64, f64) {
         let [yaw, pitch, insertion, ..] = self.speeds;
         let [a_yaw, a_pitch, a_insertion, ..] = self.accelerations;
@@ -113,10 +116,12 @@ impl Reach {
         self.further(self.wrist(), FINGER_M, AXES)
     }
 
-    /// Speed and acceleration of points up to `length_m` from one that has `base`, turned by the axes before `end`.
+    /// Speed and acceleration of points up to `length_m` from one that has `base`, turned by the
+    /// axes before `end`.
     ///
-    /// A body that turns at `w` at most accelerates such a point by `length (|w'| + w²)`, and `w'` holds the axes'
-    /// accelerations and the turning of each axis with those before it, together at most `w² / 2`.
+    /// A body that turns at `w` at most accelerates such a point by `length (|w'| + w²)`, and `w'`
+    /// holds the axes' accelerations and the turning of each axis with those before it, together at
+    /// most `w² / 2`.
     fn further(&self, base: (f64, f64), length_m: f64, end: usize) -> (f64, f64) {
         let sum = |values: &[f64; AXES]| {
             let mut sum = values[0].hypot(values[1]);
@@ -134,8 +139,8 @@ impl Reach {
 
     /// The second derivative of the tip's turning velocity is no greater, rad/s³.
     ///
-    /// The velocity is the sum of `z v` over the joints that turn, and each axis turns with those before it at `w`:
-    /// `(z v)'' = z v'' + 2 (w x z) v' + (w' x z + w x (w x z)) v`.
+    /// The velocity is the sum of `z v` over the joints that turn, and each axis turns with those
+    /// before it at `w`: `(z v)'' = z v'' + 2 (w x z) v' + (w' x z + w x (w x z)) v`.
     fn turn_bend(&self, jerks: &[f64; AXES]) -> f64 {
         let (mut w, mut w_rate, mut bend) = (0.0, 0.0, 0.0);
         for joint in [0, 1, 3, 4, 5] {

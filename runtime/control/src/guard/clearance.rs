@@ -1,4 +1,5 @@
-//! How far the instrument is from every boundary in space. Hot path: bounded, no allocation, no I/O, no lock.
+//! How far the instrument is from every boundary in space. Hot path: bounded, no allocation, no
+//! I/O, no lock.
 
 use hal::psm::SHAFT_RADIUS_M;
 
@@ -19,7 +20,8 @@ const FAR_M: f64 = 10.0;
 /// One distance for each boundary, m.
 pub(super) type Clearances = [f64; CLEARANCES];
 
-/// The box for the control point and the finger tips, and the shapes that no part may enter, in the RCM frame.
+/// The box for the control point and the finger tips, and the shapes that no part may enter, in the
+/// RCM frame.
 #[derive(Clone, Debug)]
 pub(super) struct Boundaries {
     workspace: Block,
@@ -64,7 +66,8 @@ impl Boundaries {
 
     /// What clearance `index` does not fall below between two samples, m.
     ///
-    /// `h` is the clearance at both ends, `instruments` is where the links are then, `ways` how each link can move between them.
+    /// `h` is the clearance at both ends, `instruments` is where the links are then, `ways` how
+    /// each link can move between them.
     pub(super) fn lowest_between(
         &self,
         index: usize,
@@ -99,8 +102,9 @@ impl Boundaries {
     }
 }
 
-/// What the clearance of a link to a box does not fall below, from each face's plane alone: a box is behind all of them, so it
-/// is never nearer than any. This is the better bound for a link that is in the box.
+/// What the clearance of a link to a box does not fall below, from each face's plane alone: a box
+/// is behind all of them, so it is never nearer than any. This is the better bound for a link that
+/// is in the box.
 fn lowest_beyond_faces(
     block: &Block,
     link: usize,

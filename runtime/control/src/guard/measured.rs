@@ -1,4 +1,5 @@
-//! How near the measured instruments came to their boundaries. Hot path: bounded, no allocation, no I/O, no lock.
+//! How near the measured instruments came to their boundaries. Hot path: bounded, no allocation, no
+//! I/O, no lock.
 
 use hal::ArmState;
 use serde::Serialize;
@@ -129,7 +130,8 @@ impl NearestOfArm {
         }
     }
 
-    /// The workspace and each region of the arm at `index`; nothing of an arm that never held torque.
+    /// The workspace and each region of the arm at `index`; nothing of an arm that never held
+    /// torque.
     pub(super) fn named(&self, config: &ControlConfig, index: usize) -> Vec<MeasuredClearance> {
         let arm = &config.arms[index];
         let [workspace, regions @ ..] = &self.0;
@@ -149,7 +151,8 @@ impl NearestOfArm {
     }
 }
 
-/// The boundaries in space that arms measured at `states` are beyond, each with what is furthest beyond it. Allocates.
+/// The boundaries in space that arms measured at `states` are beyond, each with what is furthest
+/// beyond it. Allocates.
 #[must_use]
 pub fn beyond(config: &ControlConfig, states: &[ArmState]) -> Vec<MeasuredClearance> {
     let arms = config.arms.iter().zip(states).enumerate();

@@ -1,9 +1,10 @@
-//! Two arms: no part of one's stop comes near the other's, whenever either stops. Hot path: bounded, no allocation, no I/O, no
-//! lock.
+//! Two arms: no part of one's stop comes near the other's, whenever either stops. Hot path:
+//! bounded, no allocation, no I/O, no lock.
 //!
-//! Two stops are compared at all pairs of times, not only at equal ones: each arm may be late, or stop while the other goes
-//! on. What is between the samples is bounded as for one arm, once in the time of either: a point of the one stop at any time
-//! and all of the other at a sample first, then both.
+//! Two stops are compared at all pairs of times, not only at equal ones: each arm may be late, or
+//! stop while the other goes on. What is between the samples is bounded as for one arm, once in the
+//! time of either: a point of the one stop at any time and all of the other at a sample first, then
+//! both.
 
 use hal::psm::SHAFT_RADIUS_M;
 use nalgebra::Vector3;
@@ -86,8 +87,8 @@ impl Pair {
         distance_m(first, link_a, &second.links()[link_b]) - self.keep_m[kind]
     }
 
-    /// Starts anew with two stops, one of which may be under way. Arms that are too near to one another already may come no
-    /// nearer, as one that is beyond a boundary.
+    /// Starts anew with two stops, one of which may be under way. Arms that are too near to one
+    /// another already may come no nearer, as one that is beyond a boundary.
     pub(super) fn seed(&mut self, first: &Rest<'_>, second: &Rest<'_>) {
         let gaps = self.gaps(first, second);
         self.floors = gaps.map(|gap_m| self.floor.below(gap_m));
@@ -96,8 +97,9 @@ impl Pair {
 
     /// One arm was moved; the gaps were `before`.
     ///
-    /// A floor moves by as much as its gap did, so that a hand on an arm without torque may bring it near, and what is
-    /// measured of it may tremble, without the other arm ever gaining a way towards it.
+    /// A floor moves by as much as its gap did, so that a hand on an arm without torque may bring
+    /// it near, and what is measured of it may tremble, without the other arm ever gaining a way
+    /// towards it.
     pub(super) fn put(&mut self, before: &Gaps, first: &Rest<'_>, second: &Rest<'_>) {
         let after = self.gaps(first, second);
         for (floor, (before_m, after_m)) in self.floors.iter_mut().zip(before.iter().zip(after)) {
@@ -111,7 +113,8 @@ impl Pair {
         self.kept = self.floors;
     }
 
-    /// What two stops leave of each gap at least, if that is enough while the measured arms deviate by `allowances`.
+    /// What two stops leave of each gap at least, if that is enough while the measured arms deviate
+    /// by `allowances`.
     pub(super) fn verify(
         &self,
         first: &Rest<'_>,
@@ -138,7 +141,8 @@ impl Pair {
         Some(gaps)
     }
 
-    /// Takes back what verified stops with these gaps leave behind, while the measured arms deviate by `allowances`.
+    /// Takes back what verified stops with these gaps leave behind, while the measured arms deviate
+    /// by `allowances`.
     pub(super) fn tighten(&mut self, gaps: &Gaps, allowances: &Gaps) {
         for ((kept, &gap_m), allowance_m) in self.kept.iter_mut().zip(gaps).zip(allowances) {
             *kept = self.floor.kept(*kept, gap_m, *allowance_m);
@@ -148,7 +152,8 @@ impl Pair {
         }
     }
 
-    /// What two stops leave of a gap at least, or `enough_m` of it, which does not matter, m; or something that is less than `floor_m`.
+    /// What two stops leave of a gap at least, or `enough_m` of it, which does not matter, m; or
+    /// something that is less than `floor_m`.
     fn least(
         &self,
         kind: usize,
@@ -236,7 +241,8 @@ impl Pair {
     }
 }
 
-/// Two lower bounds of what is left of a gap around two samples, m; of each the least over all samples is one for the stops.
+/// Two lower bounds of what is left of a gap around two samples, m; of each the least over all
+/// samples is one for the stops.
 #[derive(Clone, Copy)]
 struct Low {
     by_way_m: f64,
@@ -274,7 +280,8 @@ impl Low {
     }
 }
 
-/// How far apart two samples must be for both bounds around them to be `level_m` at least, centre line to centre line.
+/// How far apart two samples must be for both bounds around them to be `level_m` at least, centre
+/// line to centre line.
 fn certain_m(a: &Way, b: &Way, level_m: f64) -> f64 {
     let way_m = a.half_m + b.half_m;
     let nearest_m = level_m - way_m;

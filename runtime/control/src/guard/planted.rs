@@ -21,7 +21,8 @@ pub(crate) enum Check {
     Velocity(usize),
     /// It keeps the acceleration limit.
     Acceleration(usize),
-    /// A clearance keeps its floor: six faces for each of three points, then four links for each region.
+    /// A clearance keeps its floor: six faces for each of three points, then four links for each
+    /// region.
     Clearance(usize),
     /// The control point is slow enough.
     TipSpeed,

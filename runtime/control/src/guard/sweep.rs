@@ -1,4 +1,5 @@
-//! A stop as samples, with what lies between them. Hot path: bounded, no allocation, no I/O, no lock.
+//! A stop as samples, with what lies between them. Hot path: bounded, no allocation, no I/O, no
+//! lock.
 
 use hal::Pose;
 use hal::psm::{FINGER_M, WRIST_M};
@@ -15,7 +16,8 @@ pub(super) const INTERVALS: u32 = 20;
 /// Their ends.
 pub(super) const SAMPLES: usize = INTERVALS as usize + 1;
 
-/// How far the points of each link can get from where they are in one moment of a stop to where they are in any other, m.
+/// How far the points of each link can get from where they are in one moment of a stop to where
+/// they are in any other, m.
 ///
 /// One axis after the other, the last one first, each moves a point along an arc about it.
 pub(super) fn travel_m(wrist_distance_m: f64, ranges: &[(f64, f64); AXES]) -> [f64; LINKS] {

@@ -241,7 +241,8 @@ fn every_planted_fault_is_listed_once() {
     for (index, fault) in faults.iter().enumerate() {
         assert!(!faults[..index].contains(fault), "{fault:?}");
     }
-    // Seven checks an axis, the clearances, two of the tip's speed, and seven pairs of links; six paddings and three more.
+    // Seven checks an axis, the clearances, two of the tip's speed, and seven pairs of links; six
+    // paddings and three more.
     assert_eq!(faults.len(), 2 * (49 + CLEARANCES + 2 + 7) + 2 * 6 + 3);
 }
 

@@ -1,14 +1,15 @@
-//! How far a point can move between two samples of a stop, and what a distance does not fall below meanwhile. Hot path: bounded, no
-//! allocation, no I/O, no lock.
+//! How far a point can move between two samples of a stop, and what a distance does not fall below
+//! meanwhile. Hot path: bounded, no allocation, no I/O, no lock.
 //!
-//! A clearance is the least of `|p(t) - c| - r`, or of `n . p(t) - d` for a plane, over the points `p` of a link and `c` of the
-//! boundary. Two bounds hold between samples that are `gap` apart:
+//! A clearance is the least of `|p(t) - c| - r`, or of `n . p(t) - d` for a plane, over the points
+//! `p` of a link and `c` of the boundary. Two bounds hold between samples that are `gap` apart:
 //!
-//! * **By the way.** Each of these changes no faster than its point moves, so it lies at most half the way that the point can
-//!   go in the gap below the mean of its ends.
-//! * **By the bend.** Each of these has a second derivative of at most `K = |p''| + |p'|² / |p - c|` (`|p''|` for a plane), so
-//!   that less `K t² / 2` all of them are concave, hence so is the least of them; a concave function lies above its chord, and
-//!   `K t² / 2` is at most `K gap² / 8` below its own. `|p - c|` is at least what the first bound leaves of it.
+//! * **By the way.** Each of these changes no faster than its point moves, so it lies at most half
+//!   the way that the point can go in the gap below the mean of its ends.
+//! * **By the bend.** Each of these has a second derivative of at most `K = |p''| + |p'|² / |p -
+//!   c|` (`|p''|` for a plane), so that less `K t² / 2` all of them are concave, hence so is the
+//!   least of them; a concave function lies above its chord, and `K t² / 2` is at most `K gap² / 8`
+//!   below its own. `|p - c|` is at least what the first bound leaves of it.
 
 use crate::snapshot::words;
 
@@ -49,7 +50,8 @@ impl Way {
         by_bend.max(f64::midpoint(start, end) - self.half_m)
     }
 
-    /// The same for the distance to something round, `core_m` being from the surface's level to the centre's.
+    /// The same for the distance to something round, `core_m` being from the surface's level to the
+    /// centre's.
     pub(super) fn lowest_round(&self, start: f64, end: f64, core_m: f64) -> f64 {
         let by_way = f64::midpoint(start, end) - self.half_m;
         let to_core_m = by_way + core_m;
@@ -62,8 +64,8 @@ impl Way {
     }
 }
 
-/// The least value between `start` and `end` of a function whose second derivative is at most `8 bend / gap²`, where a
-/// parabola of that bend through both ends is least.
+/// The least value between `start` and `end` of a function whose second derivative is at most `8
+/// bend / gap²`, where a parabola of that bend through both ends is least.
 pub(super) fn lowest(start: f64, end: f64, bend: f64) -> f64 {
     let low = start.min(end);
     let left = 4.0 * bend - (end - start).abs();

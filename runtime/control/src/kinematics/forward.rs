@@ -1,4 +1,5 @@
-//! Joints to tip: axes, points, pose and Jacobian. Hot path: bounded, no allocation, no I/O, no lock.
+//! Joints to tip: axes, points, pose and Jacobian. Hot path: bounded, no allocation, no I/O, no
+//! lock.
 
 use hal::psm::{FINGER_M, RCC_M, TOOL_M, WRIST_M};
 use hal::{JointVector, Pose};
@@ -9,8 +10,8 @@ pub(super) const INSERTION_OFFSET_M: f64 = RCC_M - TOOL_M;
 
 /// The joint axes and points of one configuration, in the RCM frame.
 ///
-/// The product of the DH rows (`hal::psm::DH`), multiplied out: every axis is a combination of the previous two, so no
-/// matrix product is needed.
+/// The product of the DH rows (`hal::psm::DH`), multiplied out: every axis is a combination of the
+/// previous two, so no matrix product is needed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frames {
     /// Axis of the yaw joint, unit.
@@ -118,8 +119,9 @@ pub fn forward(joints: &JointVector) -> Pose {
 
 /// Tip Jacobian at `joints`.
 ///
-/// Rows `[vx vy vz wx wy wz]` in the RCM frame (m/s, rad/s), columns in joint order (per rad/s, insertion per m/s). Singular
-/// where the wrist meets the RCM and at a wrist pitch of a quarter turn, which the joint limits exclude.
+/// Rows `[vx vy vz wx wy wz]` in the RCM frame (m/s, rad/s), columns in joint order (per rad/s,
+/// insertion per m/s). Singular where the wrist meets the RCM and at a wrist pitch of a quarter
+/// turn, which the joint limits exclude.
 #[must_use]
 pub fn jacobian(joints: &JointVector) -> Matrix6<f64> {
     Frames::at(joints).tip_jacobian()

@@ -50,7 +50,8 @@ impl fmt::Display for IkError {
 
 impl std::error::Error for IkError {}
 
-/// The joints that put the tip at `tip_in_rcm`, with the roll's full turns chosen nearest to `near_roll` (rad).
+/// The joints that put the tip at `tip_in_rcm`, with the roll's full turns chosen nearest to
+/// `near_roll` (rad).
 ///
 /// # Errors
 /// [`IkError`]; joints outside the dVRK's ranges are refused.
@@ -70,7 +71,8 @@ pub fn inverse(tip_in_rcm: &Pose, near_roll: f64) -> Result<JointVector, IkError
     }
 }
 
-/// Like [`inverse`], but a joint outside `low..=high` is brought to its nearest limit; the flag tells whether one was.
+/// Like [`inverse`], but a joint outside `low..=high` is brought to its nearest limit; the flag
+/// tells whether one was.
 ///
 /// # Errors
 /// [`IkError::NotFinite`] and [`IkError::AtRemoteCentre`].
@@ -96,9 +98,9 @@ pub fn inverse_clamped(
     Ok((joints, clamped))
 }
 
-/// The closed form: the wrist-yaw axis is known from the rotation, so the link to the wrist-pitch axis lies along the part of
-/// the tip's position that is normal to it. From the wrist point follow the first three joints, from what remains of the
-/// rotation the last three.
+/// The closed form: the wrist-yaw axis is known from the rotation, so the link to the wrist-pitch
+/// axis lies along the part of the tip's position that is normal to it. From the wrist point follow
+/// the first three joints, from what remains of the rotation the last three.
 fn solve(tip_in_rcm: &Pose, near_roll: f64) -> Result<JointVector, IkError> {
     let rotation = tip_in_rcm.rotation.to_rotation_matrix();
     let rotation = rotation.matrix();

@@ -1,14 +1,17 @@
-//! Position, velocity and acceleration of an axis merged into one interval of velocities around zero.
+//! Position, velocity and acceleration of an axis merged into one interval of velocities around
+//! zero.
 
 use super::{AxisLimits, RowInput};
 use crate::config::ControlConfig;
 use crate::motion::{AXES, JAW};
 use crate::viability::viable_speed;
 
-/// Share of the distance to a joint limit that the viable speed counts on; the rest is for acceleration under way.
+/// Share of the distance to a joint limit that the viable speed counts on; the rest is for
+/// acceleration under way.
 const VIABLE_SHARE: f64 = 0.7;
 
-/// Share of the closing effort from which on the jaw closes more slowly, until it stands still at the whole.
+/// Share of the closing effort from which on the jaw closes more slowly, until it stands still at
+/// the whole.
 const EFFORT_SHARE: f64 = 0.8;
 
 /// Lowest and highest velocity of each axis of an arm.
@@ -27,8 +30,8 @@ pub(super) fn all(config: &ControlConfig, arm: &RowInput<'_>) -> [(f64, f64); AX
     })
 }
 
-/// The velocities at which an axis can still stop within its range, is within its speed limit times `pace`, and can be
-/// within `window_s`.
+/// The velocities at which an axis can still stop within its range, is within its speed limit times
+/// `pace`, and can be within `window_s`.
 pub(crate) fn axis_bounds(
     limits: &AxisLimits,
     position: f64,

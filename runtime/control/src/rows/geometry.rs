@@ -31,7 +31,8 @@ pub(super) fn workspace(
     }
 }
 
-/// A row for each face of `workspace` and one point with its Jacobian; `bound` is how fast it may approach a face at a distance, m.
+/// A row for each face of `workspace` and one point with its Jacobian; `bound` is how fast it may
+/// approach a face at a distance, m.
 fn faces(
     rows: &mut Rows,
     first: usize,
@@ -51,8 +52,8 @@ fn faces(
 
 /// A row for each link where it is nearest to the region.
 ///
-/// Where a shape has flat faces the nearest place of a link can jump from one of its ends to the other, so there each link's
-/// end has a row of its own.
+/// Where a shape has flat faces the nearest place of a link can jump from one of its ends to the
+/// other, so there each link's end has a row of its own.
 pub(super) fn region(
     rows: &mut Rows,
     config: &ControlConfig,

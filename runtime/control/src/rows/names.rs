@@ -19,8 +19,8 @@ fn ranges(names: &mut Vec<String>, arm: &ArmConfig) {
     }
 }
 
-/// A name for each row of [`Problem`](crate::filter::Problem) in its order, the cones after the linear rows, such as `psm1 insertion,
-/// upper bound`.
+/// A name for each row of [`Problem`](crate::filter::Problem) in its order, the cones after the
+/// linear rows, such as `psm1 insertion, upper bound`.
 #[must_use]
 pub fn names(config: &ControlConfig) -> Vec<String> {
     let mut names = Vec::new();

@@ -1,4 +1,5 @@
-//! Rows between two instruments: shaft to shaft, and wrist and fingers of each to the shaft of the other.
+//! Rows between two instruments: shaft to shaft, and wrist and fingers of each to the shaft of the
+//! other.
 
 use hal::Pose;
 use hal::psm::SHAFT_RADIUS_M;
@@ -61,7 +62,8 @@ pub(super) fn links(
     }
 }
 
-/// How fast the place of `link` moves in the direction `towards` (RCM frame) per velocity of each axis.
+/// How fast the place of `link` moves in the direction `towards` (RCM frame) per velocity of each
+/// axis.
 fn moving(
     entries: &mut [f64],
     stance: &KinematicState,

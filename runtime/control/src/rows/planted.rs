@@ -36,7 +36,8 @@ pub(crate) struct RowFault {
 }
 
 impl RowFault {
-    /// Every fault that these rows can have. A cone is the same with its matrix negated, so it can only be dropped.
+    /// Every fault that these rows can have. A cone is the same with its matrix negated, so it can
+    /// only be dropped.
     pub(crate) fn all(rows: &Rows) -> Vec<Self> {
         let axes = (0..rows.variables).flat_map(|axis| [Which::Low(axis), Which::High(axis)]);
         let geometry = (0..rows.geometry.len()).map(Which::Geometry);

@@ -39,7 +39,8 @@ struct Problem {
 }
 
 impl Problem {
-    /// States about zero, limits from tight to loose. One in fifty asks for a target above its limit: both must refuse it.
+    /// States about zero, limits from tight to loose. One in fifty asks for a target above its
+    /// limit: both must refuse it.
     fn random(kind: Kind, synchronized: bool, random: &mut SplitMix64) -> Self {
         let mut vector = |half: f64, zero: f64| -> Dofs {
             core::array::from_fn(|_| {
@@ -250,8 +251,9 @@ impl Tally {
     }
 }
 
-/// Where the axes are to be brought to a velocity at the same moment, the port (3.0.1) leaves out a check of the original's: it
-/// takes a profile whose jerk is above the limit. The smoother never synchronises. Everything else is the same.
+/// Where the axes are to be brought to a velocity at the same moment, the port (3.0.1) leaves out a
+/// check of the original's: it takes a profile whose jerk is above the limit. The smoother never
+/// synchronises. Everything else is the same.
 #[test]
 fn the_port_answers_what_the_original_answers() {
     let mut port = Port {

@@ -1,7 +1,8 @@
 //! Lower limits for one axis in mid-motion. Hot path: bounded, no allocation, no I/O, no lock.
 //!
-//! Ruckig alone, given lower limits while it moves, brings the acceleration down with the lower jerk: it then passes the speed
-//! limit or the target, and needs a longer way to stop than there may be. So the full jerk stays until the motion fits.
+//! Ruckig alone, given lower limits while it moves, brings the acceleration down with the lower
+//! jerk: it then passes the speed limit or the target, and needs a longer way to stop than there
+//! may be. So the full jerk stays until the motion fits.
 
 use super::super::motion::{AxisLimits, MotionState};
 use super::super::snapshot::{Reader, Snapshot, SnapshotError, Stateful, Words, layout, possible};
@@ -21,7 +22,8 @@ const VELOCITY_ROUNDING: f64 = 1e-12;
 pub(super) struct AxisLowering {
     built: AxisLimits,
     limits: AxisLimits,
-    /// Limits have been lowered, or the axis was found outside them, and the motion does not fit them yet.
+    /// Limits have been lowered, or the axis was found outside them, and the motion does not fit
+    /// them yet.
     settling: bool,
 }
 
@@ -97,9 +99,9 @@ impl AxisLowering {
 
     /// The jerk for the next tick towards `target`, which is within the velocity limit.
     ///
-    /// It is the limit, unless the way on which it brings the acceleration to zero passes the speed limit, or starts above the
-    /// acceleration limit, or, after the limits were lowered, passes the target. Then it is what just reaches the target, or
-    /// the full jerk if that is not enough.
+    /// It is the limit, unless the way on which it brings the acceleration to zero passes the speed
+    /// limit, or starts above the acceleration limit, or, after the limits were lowered, passes the
+    /// target. Then it is what just reaches the target, or the full jerk if that is not enough.
     pub(super) fn jerk(&mut self, velocity: f64, acceleration: f64, target: f64) -> f64 {
         let (limits, full) = (&self.limits, self.built.jerk);
         let push = acceleration.abs();
@@ -110,7 +112,8 @@ impl AxisLowering {
             self.settling = false;
             return limits.jerk;
         }
-        // Seen in the direction of the acceleration, the velocity ends here once the acceleration has been brought to zero.
+        // Seen in the direction of the acceleration, the velocity ends here once the acceleration
+        // has been brought to zero.
         let end = side * velocity + ramp;
         let hard = push > limits.acceleration * (1.0 + ACCELERATION_ROUNDING);
         let fits = !hard && end <= limits.velocity + rounding;
@@ -127,8 +130,9 @@ impl AxisLowering {
         }
     }
 
-    /// Replaces `next` by one tick of the stop at full limits, if acceleration or jerk are lowered and the stop after `next`
-    /// leaves the range, or leaves it further than the stop from `state` does.
+    /// Replaces `next` by one tick of the stop at full limits, if acceleration or jerk are lowered
+    /// and the stop after `next` leaves the range, or leaves it further than the stop from `state`
+    /// does.
     pub(super) fn keep_range(
         &self,
         axis: usize,

@@ -121,7 +121,8 @@ fn any_target_velocity_is_reached_from_any_state_and_held() {
                 random.between(-limit.velocity, limit.velocity)
             }
         });
-        // Twice the highest speed at the highest acceleration, and two ramps, are 0.6 s at most; then it stays.
+        // Twice the highest speed at the highest acceleration, and two ramps, are 0.6 s at most;
+        // then it stays.
         for tick in 0..800 {
             state = smoother.step(&state, &target).unwrap();
             for axis in 0..AXES {

@@ -177,7 +177,8 @@ fn bits<const ARMS: usize>(outputs: &[TickOutput; ARMS]) -> String {
     format!("{outputs:?}")
 }
 
-/// Lets trouble befall a controller, and from time to time another one, newly built, goes on beside it.
+/// Lets trouble befall a controller, and from time to time another one, newly built, goes on beside
+/// it.
 fn goes_on<const ARMS: usize>(config: &ControlConfig, seed: u64) -> (usize, usize) {
     let mut troubled = Troubled::<ARMS>::new(config, seed);
     let mut most = (0, 0);

@@ -1,4 +1,5 @@
-//! Values as words of 64 bits, and back. Hot path: bounded, no allocation, no I/O, no lock; but reading back allocates.
+//! Values as words of 64 bits, and back. Hot path: bounded, no allocation, no I/O, no lock; but
+//! reading back allocates.
 
 use hal::{ArmError, Chunk, TimeNs};
 use nalgebra::Vector3;
@@ -31,7 +32,8 @@ pub(crate) trait Stateful {
     /// Adds its state to a snapshot.
     fn save(&self, to: &mut Snapshot);
 
-    /// Takes over the state of another that was built from the same configuration. It is of no use after an error.
+    /// Takes over the state of another that was built from the same configuration. It is of no use
+    /// after an error.
     fn restore(&mut self, from: &mut Reader<'_>) -> Result<(), SnapshotError>;
 }
 
@@ -137,7 +139,8 @@ macro_rules! words {
     };
 }
 
-/// Makes a structure [`Stateful`] of which the first fields are state and the others, all named, are not.
+/// Makes a structure [`Stateful`] of which the first fields are state and the others, all named,
+/// are not.
 macro_rules! state {
     (
         $name:ident { $($field:ident: $kind:ty),+ $(,)? }

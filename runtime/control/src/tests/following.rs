@@ -10,7 +10,8 @@ use crate::config::ControlConfig;
 use crate::{CommandHash, QpOutcome};
 use hal::config::Source;
 
-/// Runs `seconds` with a fresh chunk of `path` every step; calls `look` after each tick with the wanted target.
+/// Runs `seconds` with a fresh chunk of `path` every step; calls `look` after each tick with the
+/// wanted target.
 fn follow(
     bench: &mut Bench,
     seconds: u32,
@@ -173,7 +174,8 @@ fn a_target_beyond_the_wall_stops_at_the_wall() {
         solved > 3000 && failed == 0,
         "solved {solved}, failed {failed}"
     );
-    // Tangential motion goes on along the wall: the target's direction from the remote centre is kept, at the wall's depth.
+    // Tangential motion goes on along the wall: the target's direction from the remote centre is
+    // kept, at the wall's depth.
     assert!(widest_m > 0.016, "stuck at {widest_m}");
     assert!(stopped < 80, "guard intervened {stopped} times");
 }

@@ -273,8 +273,8 @@ fn a_missing_second_arm_is_no_input() {
     tick_of(1, &crate::rows::tests::two_arms());
 }
 
-/// Who takes over is followed at once, from where the arm is and as it moves; whoever gets the arm back is followed from its first answer
-/// to what was seen since, and older ones are stale.
+/// Who takes over is followed at once, from where the arm is and as it moves; whoever gets the arm
+/// back is followed from its first answer to what was seen since, and older ones are stale.
 #[test]
 fn another_drives_without_a_jump_and_nothing_old_counts() {
     let mut bench = moving();

@@ -106,7 +106,8 @@ impl Feeds {
     }
 }
 
-/// The files of a run up to a little after the second one has begun, and the tick that it begins with.
+/// The files of a run up to a little after the second one has begun, and the tick that it begins
+/// with.
 struct Turned {
     last: Scratch,
     before: Scratch,

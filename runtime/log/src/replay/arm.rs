@@ -1,4 +1,5 @@
-//! An arm that plays a log's measurements back, so that a controller meets again what another one met.
+//! An arm that plays a log's measurements back, so that a controller meets again what another one
+//! met.
 
 use hal::{Arm, ArmCommand, ArmError, ArmState, SafeTail, TICK_NS, TimeNs};
 
@@ -7,9 +8,10 @@ use crate::{Loss, RunLog};
 
 /// One arm of a log.
 ///
-/// It reports at each time what the log's arm did, failures included, and at the end that the recording has ended. It does
-/// not obey: commands move nothing, they are only compared with those in the log. Between two ticks of the log the earlier
-/// one counts; where the logger dropped ticks the measurement is lost.
+/// It reports at each time what the log's arm did, failures included, and at the end that the
+/// recording has ended. It does not obey: commands move nothing, they are only compared with those
+/// in the log. Between two ticks of the log the earlier one counts; where the logger dropped ticks
+/// the measurement is lost.
 #[derive(Clone, Debug)]
 pub struct RecordedArm {
     ticks: Vec<Tick>,
@@ -33,7 +35,8 @@ impl RecordedArm {
     /// The arm `index` of `log`, counted from 0, before its first tick.
     ///
     /// # Errors
-    /// [`ReplayError::Empty`] if the log holds no tick, [`ReplayError::NoArm`] if it has not so many arms.
+    /// [`ReplayError::Empty`] if the log holds no tick, [`ReplayError::NoArm`] if it has not so
+    /// many arms.
     pub fn new(log: &RunLog, index: usize) -> Result<Self, ReplayError> {
         let mut ticks = Vec::with_capacity(log.tick_count());
         for (place, (tick, _)) in log.ticks().enumerate() {

@@ -1,4 +1,5 @@
-//! Where a replay begins in a log whose bound left out what came before, and what it says to the controller's state in a log.
+//! Where a replay begins in a log whose bound left out what came before, and what it says to the
+//! controller's state in a log.
 
 use std::path::Path;
 
@@ -18,7 +19,8 @@ pub struct KeptFrom {
 }
 
 impl Recomputed {
-    /// Takes over the state that the log holds before its first tick, `left_out` ticks after the run's.
+    /// Takes over the state that the log holds before its first tick, `left_out` ticks after the
+    /// run's.
     pub(super) fn go_on(
         &mut self,
         left_out: u64,
@@ -58,7 +60,8 @@ pub(super) struct Edge {
 }
 
 impl Edge {
-    /// Of the file before the one at `path`, whose header is `header`, if that file lies beside it, can be read, and ends where this one begins.
+    /// Of the file before the one at `path`, whose header is `header`, if that file lies beside it,
+    /// can be read, and ends where this one begins.
     pub(super) fn before(path: &Path, header: &RunHeader) -> Option<Self> {
         if header.left_out == 0 {
             return None;

@@ -1,5 +1,5 @@
-//! Recomputes every command of a logged run from its recorded inputs and compares bit for bit; and its arms, to be read
-//! again by another controller.
+//! Recomputes every command of a logged run from its recorded inputs and compares bit for bit; and
+//! its arms, to be read again by another controller.
 
 mod arm;
 mod kept;
@@ -27,23 +27,26 @@ pub use kept::KeptFrom;
 /// What a replay found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReplayResult {
-    /// Whether every command and safety report in the log was recomputed bit for bit, nothing that the controller saw is missing, and the log
-    /// is what the run wrote.
+    /// Whether every command and safety report in the log was recomputed bit for bit, nothing that
+    /// the controller saw is missing, and the log is what the run wrote.
     pub identical: bool,
     /// Ticks that were recomputed, up to the first difference.
     pub ticks: u64,
-    /// Where it begins, if the log's bound left out what came before: with the controller's state in the log.
+    /// Where it begins, if the log's bound left out what came before: with the controller's state
+    /// in the log.
     pub kept_from: Option<KeptFrom>,
-    /// Whether that state was compared with the one at the end of the file before, which lies beside it and is of the same run.
+    /// Whether that state was compared with the one at the end of the file before, which lies
+    /// beside it and is of the same run.
     pub edge_checked: bool,
-    /// Whether the log's own hash over the inputs could be compared; a cut log has none, so that an input that no command
-    /// shows may have changed.
+    /// Whether the log's own hash over the inputs could be compared; a cut log has none, so that an
+    /// input that no command shows may have changed.
     pub inputs_checked: bool,
     /// Where the replay left the log.
     pub first_difference: Option<Difference>,
     /// What Clarabel says to the filter's answers.
     pub second_opinion: ReferenceComparison,
-    /// Why the log ends before its end, if it does; the rest of the result is about what comes before.
+    /// Why the log ends before its end, if it does; the rest of the result is about what comes
+    /// before.
     pub cut: Option<String>,
     /// Whether that is its own bound alone: all that the bound kept was there.
     pub bounded: bool,
@@ -78,10 +81,12 @@ impl ReferenceComparison {
 pub struct Difference {
     /// The tick.
     pub tick: u64,
-    /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; `safety.mode` where a report does; `inputs` where only their hash shows
-    /// it; `state` where that of the controller does, at the end of a file, or `snapshot.state` where the next file does not begin with it; `contents`
-    /// where something else in the log is not what the run wrote; `arms` where their number does; or `log` where the logger lost an input. Where there
-    /// are two arms, the arm's name comes first: `psm2.position.yaw`.
+    /// What differs: `position.yaw`, `stamp`, `enabled`, `command_hash`; `safety.mode` where a
+    /// report does; `inputs` where only their hash shows it; `state` where that of the controller
+    /// does, at the end of a file, or `snapshot.state` where the next file does not begin with it;
+    /// `contents` where something else in the log is not what the run wrote; `arms` where their
+    /// number does; or `log` where the logger lost an input. Where there are two arms, the arm's
+    /// name comes first: `psm2.position.yaw`.
     pub what: String,
     /// In the log.
     pub logged: String,
@@ -93,7 +98,8 @@ pub struct Difference {
 const GAP: &str = "log";
 
 impl Difference {
-    /// Whether it is a gap: records that the logger dropped, without which nothing after them can be recomputed.
+    /// Whether it is a gap: records that the logger dropped, without which nothing after them can
+    /// be recomputed.
     #[must_use]
     pub fn is_gap(&self) -> bool {
         self.what == GAP
@@ -160,7 +166,8 @@ impl From<ConfigError> for ReplayError {
     }
 }
 
-/// Recomputes every command and every safety report of `log` from its inputs, up to the first gap: see [`Difference::is_gap`].
+/// Recomputes every command and every safety report of `log` from its inputs, up to the first gap:
+/// see [`Difference::is_gap`].
 ///
 /// # Errors
 /// [`ReplayError`] when the log does not say how the controller was configured or holds no tick.
@@ -170,8 +177,9 @@ pub fn replay(log: &RunLog) -> Result<ReplayResult, ReplayError> {
     replay.finish(&log.end())
 }
 
-/// Replays the log at `path` as [`replay`] does, without ever holding more than a tick of it. The state that it begins with is compared with the end of
-/// the file before, if that one lies beside it.
+/// Replays the log at `path` as [`replay`] does, without ever holding more than a tick of it. The
+/// state that it begins with is compared with the end of the file before, if that one lies beside
+/// it.
 ///
 /// # Errors
 /// [`LogError`] when it is no log or was damaged, [`ReplayError`] as [`replay`].
@@ -407,7 +415,8 @@ fn other_report(tick: u64, logged: Option<&[u8]>, report: &TickReport) -> Option
     })
 }
 
-/// Whether the log is what the run wrote: also what a replay does not recompute, such as frames, events and the outcome.
+/// Whether the log is what the run wrote: also what a replay does not recompute, such as frames,
+/// events and the outcome.
 fn other_contents(end: &LogEnd, tick: u64) -> Option<Difference> {
     end.altered.then(|| Difference {
         tick,
@@ -417,8 +426,8 @@ fn other_contents(end: &LogEnd, tick: u64) -> Option<Difference> {
     })
 }
 
-/// Compares the hash over the inputs that was taken while the controller ran: a bit may change in an input without
-/// changing any command.
+/// Compares the hash over the inputs that was taken while the controller ran: a bit may change in
+/// an input without changing any command.
 fn other_inputs(end: &LogEnd, tick: u64, hash: InputHash) -> Option<Difference> {
     let logged = end.input_hash?;
     let computed = hash.value();

@@ -39,7 +39,8 @@ fn a_replay_recomputes_every_command() {
     assert!(second_opinion.largest_difference < 1e-5);
 }
 
-/// Writes an honest run and its inputs' hash, then reads it back with `change` made to what the log says.
+/// Writes an honest run and its inputs' hash, then reads it back with `change` made to what the log
+/// says.
 ///
 /// The file is as if a bit had flipped and the checksums had been computed again.
 fn changed_in_the_file(
@@ -178,7 +179,8 @@ fn a_dropped_chunk_is_named() {
     let file = Scratch::new("no-chunk");
     let mut recorder = Recorder::create(&file.0, &header, Pressure::Block).unwrap();
     for record in &records {
-        // As if the queue had been full: the tick says that there was a chunk, but none was handed over.
+        // As if the queue had been full: the tick says that there was a chunk, but none was handed
+        // over.
         recorder.tick(record);
     }
     recorder.finish(None).unwrap();

@@ -1,4 +1,5 @@
-//! The controller's state at the edge of two files of a bounded log, from which a replay goes on: as a message, and read back.
+//! The controller's state at the edge of two files of a bounded log, from which a replay goes on:
+//! as a message, and read back.
 
 mod queue;
 mod seen;
@@ -16,7 +17,8 @@ pub(super) use seen::SeenChunks;
 /// Hexadecimal digits of a word.
 const WORD_DIGITS: usize = 16;
 
-/// Bytes of a message without state and chunks, and of a chunk without its targets: names, punctuation, and numbers of 20 digits at most.
+/// Bytes of a message without state and chunks, and of a chunk without its targets: names,
+/// punctuation, and numbers of 20 digits at most.
 const HEAD_BYTES_MAX: usize = 256;
 const HELD_BYTES_MAX: usize = 256;
 
@@ -63,7 +65,8 @@ impl SnapshotMessage {
         })
     }
 
-    /// Bytes that the message of `item` takes in a file at most; of a chunk that was dropped on its way the length is unknown.
+    /// Bytes that the message of `item` takes in a file at most; of a chunk that was dropped on its
+    /// way the length is unknown.
     pub(super) fn bytes_max(item: &SnapshotItem, seen: &SeenChunks) -> u64 {
         let held = item.snapshot.held().iter().map(|held| {
             let chunk = seen.find(held);
@@ -117,7 +120,8 @@ impl LoggedSnapshot {
         }
     }
 
-    /// The first thing that this state and the `other` have otherwise, as each has it; nothing if they are the same to the bit.
+    /// The first thing that this state and the `other` have otherwise, as each has it; nothing if
+    /// they are the same to the bit.
     pub(super) fn difference(&self, other: &Self) -> Option<(&'static str, [String; 2])> {
         let hashes = [
             ("inputs", self.inputs.value(), other.inputs.value()),

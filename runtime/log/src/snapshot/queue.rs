@@ -1,4 +1,5 @@
-//! Snapshots on their way from the control thread to the writer thread. The control thread's end neither allocates nor waits.
+//! Snapshots on their way from the control thread to the writer thread. The control thread's end
+//! neither allocates nor waits.
 
 use hal::{TimeNs, count};
 use rtrb::{Consumer, Producer};
@@ -43,8 +44,8 @@ pub(crate) struct SnapshotFeed {
 }
 
 impl SnapshotFeed {
-    /// Hands over the state of `controller` before the tick of that record, if it is time, after all that is in `inputs`. A full queue costs
-    /// the snapshot; another one follows.
+    /// Hands over the state of `controller` before the tick of that record, if it is time, after
+    /// all that is in `inputs`. A full queue costs the snapshot; another one follows.
     pub(crate) fn put(&mut self, record: u64, inputs: InputHash, controller: &AnyController) {
         if !record.is_multiple_of(EVERY_TICKS) {
             return;

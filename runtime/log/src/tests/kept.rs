@@ -1,4 +1,5 @@
-//! Logs whose bound left out the beginning: they replay from the controller's state where they begin.
+//! Logs whose bound left out the beginning: they replay from the controller's state where they
+//! begin.
 
 use std::path::Path;
 
@@ -46,7 +47,8 @@ fn operator(tick: u64) -> Option<OperatorEvent> {
     })
 }
 
-/// A run of the real controller; its log has a bound, and the controller's state if it `keeps` that.
+/// A run of the real controller; its log has a bound, and the controller's state if it `keeps`
+/// that.
 fn run(name: &str, safety: &Source, keeps: bool) -> Files {
     let control = ControlConfig::default_control();
     let config = ControlConfig::load(&control, safety).unwrap();
@@ -274,7 +276,8 @@ fn a_falsified_state_is_found() {
             "state"
         );
     }
-    // The commanded positions come after time, operating state and flags, and show in the first command.
+    // The commanded positions come after time, operating state and flags, and show in the first
+    // command.
     for axis in 0..7 {
         let what = found(&part, |items| flip(&mut items[first], 6 + axis, 30));
         assert!(what.starts_with("position."), "{what}");
@@ -345,7 +348,8 @@ fn a_falsified_beginning_is_found_by_the_file_before() {
     }
 }
 
-/// What lies beside a file is the one before it only if it is of the same run, and ends where the file begins.
+/// What lies beside a file is the one before it only if it is of the same run, and ends where the
+/// file begins.
 #[test]
 fn a_file_of_another_run_is_not_the_one_before() {
     let files = one_arm("kept-beside", true);

@@ -15,13 +15,15 @@ use crate::bound::earlier;
 use trocar_control::snapshot::HELD_MAX;
 use trocar_control::{AnyController, ControlConfig, OperatorEvent, TickInput};
 
-/// Ticks from one chunk to the next: the targets of one are further apart, so that as many chunks count as there may be.
+/// Ticks from one chunk to the next: the targets of one are further apart, so that as many chunks
+/// count as there may be.
 const EVERY_TICKS: u64 = 39;
 
 /// Bytes of both files at most: each holds little besides two states.
 const BYTES_MAX: u64 = 12 << 20;
 
-/// The longest chunk that there is, about the place of an arm, of numbers that no two targets share.
+/// The longest chunk that there is, about the place of an arm, of numbers that no two targets
+/// share.
 fn chunk(now: TimeNs, sequence: u64, position: &JointVector) -> Chunk {
     let tip = crate::verify::tip_in_rcm(position);
     let begin = u32::try_from(sequence).unwrap();

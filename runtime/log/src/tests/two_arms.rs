@@ -36,7 +36,8 @@ pub(crate) fn chunk_of_arm(arm: usize, sequence: u64) -> Chunk {
     chunk
 }
 
-/// The sequence of the chunk that `arm` gets in `tick`: four a second, every second time both at once.
+/// The sequence of the chunk that `arm` gets in `tick`: four a second, every second time both at
+/// once.
 fn sequence(arm: usize, tick: u64) -> Option<u64> {
     let delay = if arm == 1 && (tick / 250).is_multiple_of(2) {
         60
@@ -46,7 +47,8 @@ fn sequence(arm: usize, tick: u64) -> Option<u64> {
     (tick % 250 == delay).then_some(tick / 250 + 1)
 }
 
-/// Runs the controller of two arms that follow perfectly for `ticks` ticks; the operator enables one after the other.
+/// Runs the controller of two arms that follow perfectly for `ticks` ticks; the operator enables
+/// one after the other.
 pub(crate) fn run_two_arms(ticks: u64) -> (Vec<TickRecord>, RunHeader) {
     let (control, safety) = (
         ControlConfig::default_control(),
@@ -109,7 +111,8 @@ pub(crate) fn write_two_arms(
     RunLog::open(&file.0).unwrap()
 }
 
-/// A tick of two arms with different awkward numbers; chunks for one, the other or both, under one number.
+/// A tick of two arms with different awkward numbers; chunks for one, the other or both, under one
+/// number.
 fn awkward(tick: u64) -> TickRecord {
     let mut record = samples::record(tick);
     let mut second = samples::arm(tick + 4);
@@ -202,7 +205,8 @@ fn a_lost_chunk_of_the_second_arm_is_named() {
     assert_eq!(log.losses, lost);
 }
 
-/// A log with ticks of other arms than its configuration has differs in their number, whichever has more.
+/// A log with ticks of other arms than its configuration has differs in their number, whichever has
+/// more.
 #[test]
 fn log_of_other_arms_than_its_configuration_differs() {
     let (one, of_one) = run_controller(5);

@@ -1,4 +1,5 @@
-//! Checks a log's commands against its limits, independently of the controller: [`trocar_verify`] on what a log holds.
+//! Checks a log's commands against its limits, independently of the controller: [`trocar_verify`]
+//! on what a log holds.
 
 #[cfg(test)]
 mod tests;
@@ -16,15 +17,18 @@ use crate::{LogEnd, LogError, RunHeader, RunLog, Step, read_steps};
 
 /// Checks every command of `log`.
 ///
-/// Joint ranges, velocity, acceleration and jerk of each axis; the rates that travel with a setpoint; the speed of the tip and how fast it
-/// turns; the workspace box for the control point and both finger tips; the gap between every forbidden region and shaft, wrist and both
-/// fingers, both as commanded and as measured; stamps that rise by whole periods and are the ticks' own; ticks that the log lacks. While
-/// the drives have no torque the command must follow the measured
-/// arm without velocity; they get torque at rest where the arm was measured, and lose it at rest. The gaps between two arms. The
-/// commands must add up to the hash that the run reported. Every tick must have each arm of the log's `safety.toml`, in its order. Nothing
-/// in the log may have been changed since the run.
+/// Joint ranges, velocity, acceleration and jerk of each axis; the rates that travel with a
+/// setpoint; the speed of the tip and how fast it turns; the workspace box for the control point
+/// and both finger tips; the gap between every forbidden region and shaft, wrist and both fingers,
+/// both as commanded and as measured; stamps that rise by whole periods and are the ticks' own;
+/// ticks that the log lacks. While the drives have no torque the command must follow the measured
+/// arm without velocity; they get torque at rest where the arm was measured, and lose it at rest.
+/// The gaps between two arms. The commands must add up to the hash that the run reported. Every
+/// tick must have each arm of the log's `safety.toml`, in its order. Nothing in the log may have
+/// been changed since the run.
 ///
-/// Of a log that was cut off, what is there is checked, and the result is not [`VerifyResult::ok`] whatever was found.
+/// Of a log that was cut off, what is there is checked, and the result is not [`VerifyResult::ok`]
+/// whatever was found.
 ///
 /// # Errors
 /// [`VerifyError`] when the log does not say what the limits are.
@@ -37,7 +41,8 @@ pub fn verify(log: &RunLog) -> Result<VerifyResult, VerifyError> {
 /// Checks the log at `path` as [`verify`] does, without ever holding more than a tick of it.
 ///
 /// # Errors
-/// [`LogError`] when it is no log or was damaged, [`VerifyError`] when it does not say what the limits are.
+/// [`LogError`] when it is no log or was damaged, [`VerifyError`] when it does not say what the
+/// limits are.
 pub fn verify_file<E: From<LogError> + From<VerifyError>>(path: &Path) -> Result<VerifyResult, E> {
     let mut checker = None;
     let (header, end) = read_steps(path, |header, step| -> Result<(), E> {

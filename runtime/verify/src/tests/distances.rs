@@ -22,7 +22,8 @@ pub(super) fn to_segment(point: Point3<f64>, start: Point3<f64>, end: Point3<f64
     }
 }
 
-/// The least value over the segment: the best of many samples, then of many about that, until they coincide.
+/// The least value over the segment: the best of many samples, then of many about that, until they
+/// coincide.
 pub(super) fn sampled(
     start: Point3<f64>,
     end: Point3<f64>,

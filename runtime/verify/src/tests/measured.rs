@@ -6,7 +6,8 @@ use super::scene::{CommandSample, HOME, Scene, all_broken};
 use crate::Stream;
 use crate::differences::AXES;
 
-/// The floor is 5 mm below the closed finger tips at home, of which the fingers' radius leaves 1 mm.
+/// The floor is 5 mm below the closed finger tips at home, of which the fingers' radius leaves 1
+/// mm.
 const FLOOR: &str = "[[forbidden]]\nname = \"floor\"\nshape = \"half_space\"\npoint_m = [0, 0, -0.1287]\nnormal = [0, 0, 1]\n";
 
 fn closed(deeper_m: f64) -> [f64; AXES] {

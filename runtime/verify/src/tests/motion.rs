@@ -1,5 +1,5 @@
-//! Every limit on how axes and tip move, broken by a motion whose extremes are known in closed form, and kept by the same
-//! motion under a bound a little wider.
+//! Every limit on how axes and tip move, broken by a motion whose extremes are known in closed
+//! form, and kept by the same motion under a bound a little wider.
 
 use core::f64::consts::{PI, TAU};
 
@@ -34,7 +34,8 @@ fn peaks(way: f64) -> [f64; 3] {
     ]
 }
 
-/// That only `name` is broken if the bound is a hundredth inside the peak, and nothing if it is outside.
+/// That only `name` is broken if the bound is a hundredth inside the peak, and nothing if it is
+/// outside.
 fn only(name: &str, peak: f64, places: &[[f64; AXES]], set: impl Fn(&mut Scene, f64)) {
     let broken_at = |bound| {
         let mut scene = Scene::loose(1);
@@ -115,7 +116,8 @@ fn the_tips_speed_is_caught_alone() {
 
 #[test]
 fn the_tips_angular_speed_is_caught_alone() {
-    // From home each of these turns the tip by as much as it turns itself; the insertion and the jaw do not turn it.
+    // From home each of these turns the tip by as much as it turns itself; the insertion and the
+    // jaw do not turn it.
     for axis in [0, 1, 3, 4, 5] {
         only(
             "tip_angular_speed",

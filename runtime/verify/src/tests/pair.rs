@@ -116,7 +116,8 @@ fn tips_may_meet() {
     scene.arms[1].rpy = [0.0, 0.6, 0.0];
     scene.arms[1].place[1] = 0.0;
     let mut place = HOME;
-    // The remote centres are 80 mm apart: the tips meet at half of it, 30 degrees and more from upright.
+    // The remote centres are 80 mm apart: the tips meet at half of it, 30 degrees and more from
+    // upright.
     place[2] = 0.04 / 0.6_f64.sin() + 0.4318 - 0.4162 - 0.0091;
     scene.gaps_m = [0.004, 0.001];
     let met = [0, 1].map(|arm| instrument(&scene, arm, &place).control_point);

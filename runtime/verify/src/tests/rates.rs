@@ -1,4 +1,5 @@
-//! The velocity and the acceleration that travel with a setpoint: within their limits, and those of the setpoints.
+//! The velocity and the acceleration that travel with a setpoint: within their limits, and those of
+//! the setpoints.
 
 use core::f64::consts::TAU;
 
@@ -7,7 +8,8 @@ use crate::differences::AXES;
 
 const TICKS: u32 = 200;
 
-/// The commands of an honest sweep of `axis`: p = way (u - sin(2 pi u) / 2 pi), with its derivatives.
+/// The commands of an honest sweep of `axis`: p = way (u - sin(2 pi u) / 2 pi), with its
+/// derivatives.
 fn sweep(axis: usize, way: f64) -> Vec<CommandSample> {
     let seconds = f64::from(TICKS) * 1e-3;
     (0..TICKS + 5)
@@ -30,7 +32,8 @@ fn sweep(axis: usize, way: f64) -> Vec<CommandSample> {
         .collect()
 }
 
-/// What is broken when the motion of `axis` has hardly more than the jerk that it needs, after `change`.
+/// What is broken when the motion of `axis` has hardly more than the jerk that it needs, after
+/// `change`.
 fn broken_by(axis: usize, change: impl Fn(&mut Vec<CommandSample>)) -> Vec<String> {
     let way = 0.03;
     let mut scene = Scene::loose(1);

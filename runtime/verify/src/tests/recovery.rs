@@ -1,4 +1,5 @@
-//! Arms that get their torque beyond a boundary: they may stay, get worse by a hair, and come back for good.
+//! Arms that get their torque beyond a boundary: they may stay, get worse by a hair, and come back
+//! for good.
 
 use super::scene::{CommandSample, HOME, Scene, broken};
 use crate::differences::AXES;

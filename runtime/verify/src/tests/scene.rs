@@ -1,4 +1,5 @@
-//! Configuration texts that allow nearly everything, to be narrowed by a test, and commands to go with them.
+//! Configuration texts that allow nearly everything, to be narrowed by a test, and commands to go
+//! with them.
 
 use hal::{ArmCommand, ArmError, ArmState, JointVector, TimeNs};
 
@@ -120,7 +121,8 @@ impl Scene {
 
 /// The limits of setpoints that were broken, each once, in order.
 ///
-/// Arms of tests are measured at their commanded places, and their commands have no rates: what that breaks is left to `measured` and `rates`.
+/// Arms of tests are measured at their commanded places, and their commands have no rates: what
+/// that breaks is left to `measured` and `rates`.
 pub(super) fn broken(stream: &Stream) -> Vec<String> {
     let mut names = all_broken(stream);
     names.retain(|name| !name.starts_with("measured.") && !name.ends_with("_mismatch"));

@@ -35,7 +35,8 @@ fn each_side_of_the_workspace_is_caught_alone_for_each_point() {
     open[6] = 2.0 * half_jaw;
     let mut deep = HOME;
     deep[2] += 0.02;
-    // At home the left finger opens towards the RCM frame's x, and the control point is above both finger tips.
+    // At home the left finger opens towards the RCM frame's x, and the control point is above both
+    // finger tips.
     let cases = [
         (
             "left_finger_tip",
@@ -252,7 +253,8 @@ fn each_link_is_caught_alone_at_each_shape() {
 
 #[test]
 fn two_regions_and_two_frames_are_told_apart() {
-    // The arm stands a quarter turn about its y and 0.3 m aside: its instrument points along the scene's -x.
+    // The arm stands a quarter turn about its y and 0.3 m aside: its instrument points along the
+    // scene's -x.
     let mut scene = Scene::loose(1);
     scene.arms[0].place = [0.3, 0.0, 0.1];
     scene.arms[0].rpy = [0.0, FRAC_PI_2, 0.0];

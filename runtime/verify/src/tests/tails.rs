@@ -9,7 +9,8 @@ use crate::Stream;
 
 const ROLL: usize = 3;
 
-/// The speed of the stops below, their acceleration and jerk, in s how long they last, and how far they go.
+/// The speed of the stops below, their acceleration and jerk, in s how long they last, and how far
+/// they go.
 const SPEED: f64 = 0.3;
 const BRAKE: f64 = 2.0;
 const JERK: f64 = 20.0;
@@ -80,7 +81,8 @@ fn speed_brake_and_jerk_of_a_tail_are_caught_alone() {
                 |scene, bound| scene.axes[axis][order] = bound,
             );
         }
-        // A tail that speeds up first, and is fastest in the middle of a millisecond and of a phase.
+        // A tail that speeds up first, and is fastest in the middle of a millisecond and of a
+        // phase.
         let (told, mut tail) = moving(axis, SPEED);
         let up_s = 0.050_25;
         let peak = SPEED + JERK * up_s * up_s;

@@ -1,6 +1,7 @@
 //! The meshes that another program made, as tissue groups: [`glb`]'s, and OpenUSD's ([`usd`]).
 //!
-//! Vertices at the same place are one, with the mean of its triangles' normals, whatever normals the file has.
+//! Vertices at the same place are one, with the mean of its triangles' normals, whatever normals
+//! the file has.
 
 mod glb;
 mod usd;
@@ -16,7 +17,8 @@ use super::part::{PARTS_MAX, Part, fault};
 pub(super) use glb::of_glb;
 pub(super) use usd::{is_usd, of_usd};
 
-/// The scan's world of a place in a world whose y is up and whose z is forward: right is -x, the front z, the head y. By columns.
+/// The scan's world of a place in a world whose y is up and whose z is forward: right is -x, the
+/// front z, the head y. By columns.
 const RAS: [f32; 16] = [
     -1.0, 0.0, 0.0, 0.0, //
     0.0, 0.0, 1.0, 0.0, //
@@ -48,7 +50,8 @@ impl Default for Looks {
 struct Collection(Vec<Part>);
 
 impl Collection {
-    /// Adds a part called `name`, or with a number if there is one already. `unit` says of what unit the file's lengths are.
+    /// Adds a part called `name`, or with a number if there is one already. `unit` says of what
+    /// unit the file's lengths are.
     fn push(&mut self, name: &str, mesh: Welded, looks: Looks, unit: &str) -> Result<(), String> {
         let mesh = mesh.mesh();
         if let Some(reason) = fault(&mesh) {

@@ -129,7 +129,8 @@ fn material(asset: &Asset<'_>) -> Value {
     });
     if group.light_mm > 0.0 {
         let light_m = group.light_mm * 1e-3;
-        // The index of refraction that glTF takes if nothing is said, 1.5, is near to wet tissue's 1.4.
+        // The index of refraction that glTF takes if nothing is said, 1.5, is near to wet tissue's
+        // 1.4.
         material["extensions"]["KHR_materials_transmission"] =
             json!({"transmissionFactor": THROUGH});
         material["extensions"]["KHR_materials_volume"] = json!({"thicknessFactor": light_m, "attenuationDistance": light_m, "attenuationColor": [r, g, b]});

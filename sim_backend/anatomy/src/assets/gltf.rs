@@ -1,4 +1,5 @@
-//! What every binary glTF 2.0 file is made of: numbers with their views and accessors, and the container.
+//! What every binary glTF 2.0 file is made of: numbers with their views and accessors, and the
+//! container.
 
 use serde_json::{Value, json};
 
@@ -24,7 +25,8 @@ pub struct Numbers {
 }
 
 impl Numbers {
-    /// Adds a vertex attribute of `N` floats; gives its accessor's index. `bounds` adds the extent, which glTF demands of positions.
+    /// Adds a vertex attribute of `N` floats; gives its accessor's index. `bounds` adds the extent,
+    /// which glTF demands of positions.
     pub fn vectors<const N: usize>(&mut self, vectors: &[[f32; N]], bounds: bool) -> usize {
         let numbers = vectors.iter().flatten().map(|x| x.to_le_bytes());
         let mut accessor =
@@ -78,7 +80,8 @@ impl Numbers {
         self.accessors.len() - 1
     }
 
-    /// The bytes of a `.glb` that has these numbers; `document` is its JSON without accessors, views and buffers.
+    /// The bytes of a `.glb` that has these numbers; `document` is its JSON without accessors,
+    /// views and buffers.
     ///
     /// # Panics
     /// If the file would exceed 4 GiB.

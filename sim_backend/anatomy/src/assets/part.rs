@@ -14,7 +14,8 @@ const FAR_M: f32 = 10.0;
 pub struct Part {
     /// Its name.
     pub name: String,
-    /// Its surface in the scan's world (RAS), m; vertices are split where texture coordinates have seams.
+    /// Its surface in the scan's world (RAS), m; vertices are split where texture coordinates have
+    /// seams.
     pub mesh: Mesh,
     /// Base colour, linear RGB in [0, 1].
     pub colour: [f32; 3],

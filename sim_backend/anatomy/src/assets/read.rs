@@ -1,5 +1,5 @@
-//! A patient's meshes out of the `.glb` that [`super::glb`] made; files of other programs are [`super::foreign`]'s. Whatever else is in the
-//! file's place is refused with the reason.
+//! A patient's meshes out of the `.glb` that [`super::glb`] made; files of other programs are
+//! [`super::foreign`]'s. Whatever else is in the file's place is refused with the reason.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -16,7 +16,8 @@ use super::{FRAME, GLB_FILE};
 /// Most bytes of a file.
 const BYTES_MAX: u64 = 256 << 20;
 
-/// How names of files end that may be a patient; those of binary OpenUSD are there for the reason that it is refused with.
+/// How names of files end that may be a patient; those of binary OpenUSD are there for the reason
+/// that it is refused with.
 const FILES: [&str; 5] = ["glb", "usda", "usdz", "usd", "usdc"];
 
 /// Why there is no patient in a folder.
@@ -144,11 +145,13 @@ struct Film {
 struct Content<'a> {
     document: Document,
     numbers: &'a [u8],
-    /// Bytes that may still be taken, as many as there are: arrays that share them make no large patient of a small file.
+    /// Bytes that may still be taken, as many as there are: arrays that share them make no large
+    /// patient of a small file.
     left: usize,
 }
 
-/// The file of a patient that is called `place`: a folder that `trocar anatomy build` wrote, or a `.glb`, `.usda` or `.usdz` of any program.
+/// The file of a patient that is called `place`: a folder that `trocar anatomy build` wrote, or a
+/// `.glb`, `.usda` or `.usdz` of any program.
 #[must_use]
 pub fn file_of(place: &Path) -> PathBuf {
     let end = place.extension().unwrap_or_default();

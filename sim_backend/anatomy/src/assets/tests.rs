@@ -1,4 +1,5 @@
-//! Files have what their formats ask for; other programs judge the rest in `tests/scripts/anatomy.py`.
+//! Files have what their formats ask for; other programs judge the rest in
+//! `tests/scripts/anatomy.py`.
 
 use nalgebra::Point3;
 use serde_json::Value;
@@ -105,7 +106,8 @@ fn file() -> Vec<u8> {
     }])
 }
 
-/// A textured file is read with the colour of its group, not with the white that its texture is multiplied with.
+/// A textured file is read with the colour of its group, not with the white that its texture is
+/// multiplied with.
 #[test]
 fn a_textured_file_keeps_the_colour_of_its_group() {
     let groups = Groups::load("vista3d").expect("the table is right");

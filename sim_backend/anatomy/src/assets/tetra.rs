@@ -62,7 +62,8 @@ fn tet_mesh(text: &mut String, groups: &Groups, filled: &Tetrahedra) {
     text.push_str("    }\n\n");
 }
 
-/// The text of a `.usda` with the tetrahedra of each group under `/Tetrahedra`, in the frame and unit of the meshes.
+/// The text of a `.usda` with the tetrahedra of each group under `/Tetrahedra`, in the frame and
+/// unit of the meshes.
 #[must_use]
 pub fn tetrahedra_usda(groups: &Groups, all: &[Tetrahedra]) -> String {
     let mut text = stage_head("Tetrahedra");

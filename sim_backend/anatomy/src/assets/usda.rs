@@ -110,8 +110,9 @@ fn material(text: &mut String, asset: &Asset<'_>) {
     );
 }
 
-/// What a body of the group's tissue does under load, `indent` spaces in: density, kg/m³, Young's modulus, Pa, Poisson's ratio, damping, s.
-/// The names are `PhysX`'s, for `OpenUSD` itself has none for deformable bodies.
+/// What a body of the group's tissue does under load, `indent` spaces in: density, kg/m³, Young's
+/// modulus, Pa, Poisson's ratio, damping, s. The names are `PhysX`'s, for `OpenUSD` itself has none
+/// for deformable bodies.
 pub(super) fn stiffness(group: &Group, indent: usize) -> String {
     let values = [
         ("physics:density", group.density_kg_m3),
@@ -215,8 +216,8 @@ pub fn level_file(level: u32) -> String {
     format!("patient-level-{level}.usda")
 }
 
-/// The text of a `.usda` whose `/Patient` has `patient.usda` and `coarser` further levels beside it as variants of the set `LOD`: `LOD0`, the
-/// finest, which is chosen, and following.
+/// The text of a `.usda` whose `/Patient` has `patient.usda` and `coarser` further levels beside it
+/// as variants of the set `LOD`: `LOD0`, the finest, which is chosen, and following.
 #[must_use]
 pub fn levels_usda(coarser: u32) -> String {
     let head = stage_head("Patient").replace(
@@ -240,8 +241,8 @@ pub fn levels_usda(coarser: u32) -> String {
 
 /// The text of a `.usda` with a prim a group under `/Patient`.
 ///
-/// Each mesh is closed, its texture coordinates are a corner's own. Colliders are the triangles themselves, at rest; masses are by volume
-/// and density.
+/// Each mesh is closed, its texture coordinates are a corner's own. Colliders are the triangles
+/// themselves, at rest; masses are by volume and density.
 #[must_use]
 pub fn usda(assets: &[Asset<'_>]) -> String {
     let mut text = stage_head("Patient");

@@ -1,4 +1,5 @@
-//! A stage in a `.usdz`: an archive whose files are stored as they are and begin at multiples of 64 bytes.
+//! A stage in a `.usdz`: an archive whose files are stored as they are and begin at multiples of 64
+//! bytes.
 
 use flate2::Crc;
 
@@ -8,12 +9,14 @@ use crate::number::index;
 const ALIGNMENT: usize = 64;
 /// Bytes of a file's header before its name.
 const HEADER_BYTES: usize = 30;
-/// The extra field that fills up to the alignment, a private one as others use: its number and its length take four bytes.
+/// The extra field that fills up to the alignment, a private one as others use: its number and its
+/// length take four bytes.
 const PADDING: u16 = 0x1986;
 /// 1980-01-01, the first day that archives know: the same stage gives the same bytes.
 const DATE: u16 = 0x21;
 
-/// What the header of a file and its entry in the directory have in common, but for the extra field.
+/// What the header of a file and its entry in the directory have in common, but for the extra
+/// field.
 fn common(name: &str, bytes: &[u8], extra: usize) -> Vec<u8> {
     let mut crc = Crc::new();
     crc.update(bytes);

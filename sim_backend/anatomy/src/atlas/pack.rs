@@ -27,7 +27,8 @@ impl Place {
     }
 }
 
-/// Places for all charts in a square, and its side. The square is the smallest of some that suffices.
+/// Places for all charts in a square, and its side. The square is the smallest of some that
+/// suffices.
 pub(super) fn pack(charts: &[Chart]) -> (Vec<Place>, f64) {
     let area: f64 = charts.iter().map(|chart| chart.size().product()).sum();
     let longest = charts

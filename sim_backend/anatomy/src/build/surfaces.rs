@@ -14,10 +14,12 @@ use crate::surface::complex::Complex;
 use crate::surface::{Method, cubes, nets};
 use crate::volume::Padded;
 
-/// Times that vertices of crossing triangles are put back after decimation: each may lay bare others.
+/// Times that vertices of crossing triangles are put back after decimation: each may lay bare
+/// others.
 const BACK_MAX: usize = 4;
 
-/// The surfaces between groups, smooth, with the volumes of their voxels; `look` sees them before they are smooth.
+/// The surfaces between groups, smooth, with the volumes of their voxels; `look` sees them before
+/// they are smooth.
 pub(super) fn surfaces(
     volume: &Padded,
     targets: &[f64],
@@ -42,8 +44,9 @@ pub(super) fn surfaces(
                 grid.world(&within_reach(&begin[v], voxel))
             };
             balance(&mut complex, targets, half_voxel, in_cell);
-            // Sheets a voxel apart may still fold through each other. What is back at the corners of voxels does not: those are faces of voxels.
-            // So none crosses in the end: each round puts more of them back.
+            // Sheets a voxel apart may still fold through each other. What is back at the corners
+            // of voxels does not: those are faces of voxels. So none crosses in the end: each round
+            // puts more of them back.
             let corners: Vec<_> = begin.iter().map(|voxel| grid.world(voxel)).collect();
             put_back(&mut complex, &corners, corners.len());
             complex
@@ -61,7 +64,8 @@ pub(super) fn surfaces(
     }
 }
 
-/// Puts vertices of crossing triangles back to where they were, `before`, until none crosses, in so many `rounds` at most; whether that is so.
+/// Puts vertices of crossing triangles back to where they were, `before`, until none crosses, in so
+/// many `rounds` at most; whether that is so.
 fn put_back(complex: &mut Complex, before: &[Point3<f64>], rounds: usize) -> bool {
     for _ in 0..rounds {
         let crossing = crossing_vertices(complex);
@@ -80,8 +84,8 @@ fn put_back(complex: &mut Complex, before: &[Point3<f64>], rounds: usize) -> boo
     crossing_vertices(complex).is_empty()
 }
 
-/// Volumes put right after decimation, by moves of at most `most_mm`; sheets that would pass each other stay where they are, and all do if
-/// that is not enough.
+/// Volumes put right after decimation, by moves of at most `most_mm`; sheets that would pass each
+/// other stay where they are, and all do if that is not enough.
 pub(super) fn settle(complex: &mut Complex, targets: &[f64], most_mm: f64) {
     let before = complex.positions.clone();
     balance(complex, targets, most_mm, |_, to| to);

@@ -52,7 +52,8 @@ fn a_phantoms_meshes_are_closed_and_have_its_volumes() {
                 (found.volume_ratio - 1.0).abs() < 0.005,
                 "{surface:?} {name}: {found:?}"
             );
-            // Half a voxel along each axis by smoothing, half a millimetre of 4 mm voxels by decimation.
+            // Half a voxel along each axis by smoothing, half a millimetre of 4 mm voxels by
+            // decimation.
             assert!(
                 found.hausdorff_voxels < 1.0 && found.mean_voxels < 0.2,
                 "{surface:?} {name}: {found:?}"
@@ -72,7 +73,8 @@ fn a_phantoms_meshes_are_closed_and_have_its_volumes() {
     std::fs::remove_dir_all(folder).expect("the folder can go");
 }
 
-/// Each has fewer triangles than the one before, of closed surfaces with the same volumes, and a file; none that was there before stays.
+/// Each has fewer triangles than the one before, of closed surfaces with the same volumes, and a
+/// file; none that was there before stays.
 fn levels_are_coarser(patient: &Patient, folder: &Path) {
     let wanted = patient.report.options.levels;
     assert_eq!(patient.levels.len(), wanted as usize);
@@ -105,8 +107,8 @@ fn levels_are_coarser(patient: &Patient, folder: &Path) {
     }
 }
 
-/// Before smoothing the surface is its voxels' faces, smoothing keeps it within half a voxel along each axis, and after decimation it is
-/// what was measured at the end.
+/// Before smoothing the surface is its voxels' faces, smoothing keeps it within half a voxel along
+/// each axis, and after decimation it is what was measured at the end.
 fn stages_are_measured(report: &Report) {
     let found = &report.stage_distances;
     let stages = [Stage::Surface, Stage::Smooth, Stage::Decimate];
@@ -141,7 +143,8 @@ fn crossings(mesh: &GroupMesh) -> usize {
     (0..corners.len()).map(of_one).sum()
 }
 
-/// The patient of a phantom of 7 mm voxels has all groups, closed, with their volumes, and none crosses itself.
+/// The patient of a phantom of 7 mm voxels has all groups, closed, with their volumes, and none
+/// crosses itself.
 fn is_sound(seed: u64, name: &str) {
     let folder = phantom_of(seed, name, [64, 64, 77]);
     let groups = Groups::load("vista3d").expect("the table is right");
@@ -163,7 +166,8 @@ fn is_sound(seed: u64, name: &str) {
     }
 }
 
-/// Of this patient kidneys, lungs and ribs once crossed themselves: sheets a voxel apart that smoothing had folded.
+/// Of this patient kidneys, lungs and ribs once crossed themselves: sheets a voxel apart that
+/// smoothing had folded.
 #[test]
 fn sheets_a_voxel_apart_do_not_cross() {
     is_sound(17, "sheets");

@@ -156,8 +156,9 @@ fn verdict(group: u8, piece: &Piece, contacts: &[u32; 32], least: u64) -> Option
     goes.then(|| count_u8(most))
 }
 
-/// Gives pieces of less than `least` voxels, but for each group's largest, to the neighbour with which they share most faces; fills voids
-/// as small, and voids of any size inside of a single group.
+/// Gives pieces of less than `least` voxels, but for each group's largest, to the neighbour with
+/// which they share most faces; fills voids as small, and voids of any size inside of a single
+/// group.
 pub fn remove_islands(volume: &mut Padded, least: u64) -> Cleaned {
     let dims = volume.dims;
     let mut runs = Runs::of(volume);

@@ -22,7 +22,8 @@ fn within(low: usize, high: usize, x: usize, y: usize, z: usize) -> bool {
 
 #[test]
 fn islands_go_to_their_surroundings_and_holes_are_filled() {
-    // A ball of group 2 in a block of group 1, with a void inside of each, an island of 1 in the air and one of 2 in the block.
+    // A ball of group 2 in a block of group 1, with a void inside of each, an island of 1 in the
+    // air and one of 2 in the block.
     let mut dirty = volume(20, |x, y, z| {
         if within(9, 10, x, y, z) || (x, y, z) == (3, 3, 3) {
             0

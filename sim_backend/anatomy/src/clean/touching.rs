@@ -1,11 +1,13 @@
-//! Voxels of a group that touch at an edge or a corner only would make its surface touch itself there: the volume is made well-composed
-//! (Latecki, Eckhardt and Rosenfeld 1995), for all groups at once.
+//! Voxels of a group that touch at an edge or a corner only would make its surface touch itself
+//! there: the volume is made well-composed (Latecki, Eckhardt and Rosenfeld 1995), for all groups
+//! at once.
 
 use rayon::prelude::*;
 
 use crate::volume::Padded;
 
-/// Whether voxels of a block of 2 x 2 x 2, a bit each, touch the others of them at an edge or a corner only; bit x + 2 y + 4 z.
+/// Whether voxels of a block of 2 x 2 x 2, a bit each, touch the others of them at an edge or a
+/// corner only; bit x + 2 y + 4 z.
 const fn is_critical(mask: u8) -> bool {
     // Faces of the block in circular order.
     let faces = [
@@ -92,7 +94,8 @@ fn criticals_around(voxels: &[u8], strides: [usize; 3], voxel: usize) -> usize {
         .sum()
 }
 
-/// The change of one voxel in the block at `at`, to a group of lower rank in it, that leaves the fewest critical places around.
+/// The change of one voxel in the block at `at`, to a group of lower rank in it, that leaves the
+/// fewest critical places around.
 fn best_change(volume: &mut Padded, ranks: &[u32], at: usize) -> Option<(usize, u8)> {
     let strides = volume.strides();
     let groups = block(&volume.voxels, strides, at);
@@ -129,9 +132,11 @@ fn is_margin(volume: &Padded, voxel: usize) -> bool {
     x == 0 || y == 0 || z == 0 || x == width - 1 || y == height - 1 || z == depth - 1
 }
 
-/// Changes voxels until no group touches itself at an edge or a corner only; how many changes that took.
+/// Changes voxels until no group touches itself at an edge or a corner only; how many changes that
+/// took.
 ///
-/// A voxel only ever goes to a group of lower rank (`ranks` by group number, all different), so this ends.
+/// A voxel only ever goes to a group of lower rank (`ranks` by group number, all different), so
+/// this ends.
 pub fn separate_touching(volume: &mut Padded, ranks: &[u32]) -> u64 {
     let slices = 0..volume.dims[2] - 1;
     let mut waiting: Vec<usize> = slices

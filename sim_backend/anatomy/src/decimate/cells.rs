@@ -1,4 +1,5 @@
-//! Triangles by the cells of a lattice that their boxes touch, to find those that a collapse might cross.
+//! Triangles by the cells of a lattice that their boxes touch, to find those that a collapse might
+//! cross.
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -75,7 +76,8 @@ impl Cells {
         found
     }
 
-    /// A triangle goes from `before` to `after`; lists that it enters lose those that are not `alive`.
+    /// A triangle goes from `before` to `after`; lists that it enters lose those that are not
+    /// `alive`.
     pub(super) fn change(
         &mut self,
         triangle: u32,
@@ -101,7 +103,8 @@ impl Cells {
     }
 }
 
-/// Vertices of triangles that cross others, of their own group where groups are apart; each once, in order.
+/// Vertices of triangles that cross others, of their own group where groups are apart; each once,
+/// in order.
 pub(crate) fn crossing_vertices(complex: &Complex) -> Vec<u32> {
     let cells = Cells::new(&complex.positions, &complex.triangles);
     let corners = |t: usize| (&complex.triangles[t], complex.corners(t));

@@ -34,7 +34,8 @@ fn shape(corners: &[Point3<f64>; 3]) -> f64 {
 }
 
 impl State {
-    /// Where `u` and `v` may come together, if what holds them lets them; `bits` are the groups around their edge.
+    /// Where `u` and `v` may come together, if what holds them lets them; `bits` are the groups
+    /// around their edge.
     pub(super) fn place(&self, u: u32, v: u32, bits: u32) -> Option<Point3<f64>> {
         let [a, b] = [u, v].map(|v| self.positions[v as usize]);
         let on_line = bits.count_ones() > 2;
@@ -136,8 +137,8 @@ impl State {
         all
     }
 
-    /// The link condition on the surface of every group that both vertices touch: they have two triangles in common there, and no
-    /// neighbours besides these triangles' corners.
+    /// The link condition on the surface of every group that both vertices touch: they have two
+    /// triangles in common there, and no neighbours besides these triangles' corners.
     fn links_allow(&self, trial: &Trial) -> bool {
         let opposite = |t: &u32| {
             let corners = self.triangles[*t as usize];

@@ -10,7 +10,8 @@ use crate::grid::Grid;
 use crate::nifti::{SIDE_MAX, VOXELS_MAX};
 use crate::number::real;
 
-/// How far directions and spacings of slices may differ, and how far a slice may be from its place in steps.
+/// How far directions and spacings of slices may differ, and how far a slice may be from its place
+/// in steps.
 const TOLERANCE: f64 = 1e-3;
 const STEP_TOLERANCE: f64 = 0.05;
 
@@ -109,7 +110,8 @@ fn unevenness(normal: &Vector3<f64>, slices: &[Slice]) -> Option<String> {
     })
 }
 
-/// A slice that is off its place on the line from the first to the last, if one is; places are often rounded to 0.1 mm.
+/// A slice that is off its place on the line from the first to the last, if one is; places are
+/// often rounded to 0.1 mm.
 fn out_of_line(slices: &[Slice]) -> Option<&Slice> {
     let (first, last) = (&slices[0], &slices[slices.len() - 1]);
     let step = (last.position - first.position) / real(slices.len() - 1);
@@ -120,7 +122,8 @@ fn out_of_line(slices: &[Slice]) -> Option<&Slice> {
     off.map(|(_, slice)| slice)
 }
 
-/// Where slices in order lie. A tilted gantry makes steps that are not at a right angle to the slices.
+/// Where slices in order lie. A tilted gantry makes steps that are not at a right angle to the
+/// slices.
 fn grid(slices: &[Slice]) -> Grid {
     // LPS to RAS.
     let ras = Vector3::new(-1.0, -1.0, 1.0);

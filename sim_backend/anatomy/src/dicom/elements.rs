@@ -1,7 +1,7 @@
 //! The few elements of a DICOM file that a slice needs.
 //!
-//! Elements come one after the other and are passed over unread, without a call within a call. No length is believed before as many bytes
-//! are seen to be there, and brackets must fit together.
+//! Elements come one after the other and are passed over unread, without a call within a call. No
+//! length is believed before as many bytes are seen to be there, and brackets must fit together.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek};

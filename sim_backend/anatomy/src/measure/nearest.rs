@@ -126,7 +126,8 @@ impl<'a> Nearest<'a> {
                     }
                 }
             }
-            // What lies in farther rings is at least this far; a point outside of the cells is farther still.
+            // What lies in farther rings is at least this far; a point outside of the cells is
+            // farther still.
             let seen = real(ring) * self.cell;
             if best.0 <= seen * seen {
                 break;

@@ -290,7 +290,8 @@ impl Header {
         })
     }
 
-    /// The header of a volume on `grid`, little-endian, its voxels 352 bytes in. No side of `grid` may be longer than [`SIDE_MAX`].
+    /// The header of a volume on `grid`, little-endian, its voxels 352 bytes in. No side of `grid`
+    /// may be longer than [`SIDE_MAX`].
     pub(super) fn bytes(grid: &Grid, data_type: DataType) -> [u8; HEADER_LEN] {
         let mut bytes = [0; HEADER_LEN];
         let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);

@@ -13,7 +13,8 @@ use crate::grid::Grid;
 use crate::groups::Groups;
 use crate::number::label;
 
-/// A volume of groups: 0 for background, else the group's index in [`Groups::groups`] plus 1; the first axis runs fastest.
+/// A volume of groups: 0 for background, else the group's index in [`Groups::groups`] plus 1; the
+/// first axis runs fastest.
 #[derive(Clone, Debug)]
 pub struct LabelVolume {
     /// Where its voxels lie.
@@ -103,7 +104,8 @@ fn decode(header: &Header, bytes: &[u8], values: &mut Vec<f64>) {
     }
 }
 
-/// Gives `slice` each slice across the third axis in order, with its index and its values, the first axis fastest.
+/// Gives `slice` each slice across the third axis in order, with its index and its values, the
+/// first axis fastest.
 ///
 /// Memory is that of one slice.
 ///

@@ -26,7 +26,8 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Begins `path` (gzip if it ends with `.gz`) with the header of a volume of `data_type` on `grid`.
+    /// Begins `path` (gzip if it ends with `.gz`) with the header of a volume of `data_type` on
+    /// `grid`.
     ///
     /// # Errors
     /// [`NiftiError::Unwritable`].
@@ -103,7 +104,8 @@ impl Writer {
     }
 }
 
-/// Writes `voxels`, of which each stands for the label at its index, as a label volume of 8 bits, or of 16 if a label needs them.
+/// Writes `voxels`, of which each stands for the label at its index, as a label volume of 8 bits,
+/// or of 16 if a label needs them.
 ///
 /// # Errors
 /// [`NiftiError::Unwritable`].

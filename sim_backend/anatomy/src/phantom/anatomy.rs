@@ -1,4 +1,5 @@
-//! The nominal anatomy: a torso from the upper chest to the hips, mm, x to the right, y to the front, z to the head.
+//! The nominal anatomy: a torso from the upper chest to the hips, mm, x to the right, y to the
+//! front, z to the head.
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 
@@ -18,7 +19,8 @@ pub(super) struct Part {
     pub(super) varies: bool,
 }
 
-/// Names of parts with the parts into which they reach: the second of a pair is what the first leaves of it.
+/// Names of parts with the parts into which they reach: the second of a pair is what the first
+/// leaves of it.
 pub(super) const CARVES: [(&str, &str); 21] = [
     ("heart", "left lung"),
     ("heart", "right lung"),
@@ -46,7 +48,8 @@ pub(super) const CARVES: [(&str, &str); 21] = [
 /// Half of the torso's width and depth.
 const TORSO: [f64; 2] = [165.0, 110.0];
 
-/// How far `p` is inside of the torso, which is `fat` times as wide and deep as the nominal one; about mm, negative inside.
+/// How far `p` is inside of the torso, which is `fat` times as wide and deep as the nominal one;
+/// about mm, negative inside.
 pub(super) fn torso_distance(p: &Point3<f64>, fat: f64) -> f64 {
     // Waist and hips.
     let girth = 1.0 - 0.035 * (p.z / 62.0).cos() * (-(p.z / 160.0).powi(2)).exp();

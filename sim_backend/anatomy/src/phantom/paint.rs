@@ -31,7 +31,8 @@ const NOISE_HU: f64 = 12.0;
 pub struct Size(pub [usize; 3]);
 
 impl Size {
-    /// The voxels of a scan with a spacing as near to `spacing_mm` as whole numbers of voxels allow.
+    /// The voxels of a scan with a spacing as near to `spacing_mm` as whole numbers of voxels
+    /// allow.
     #[must_use]
     pub fn of_spacing(spacing_mm: f64) -> Self {
         Self(FIELD_MM.map(|side| floor_to((side / spacing_mm).round(), 4096).max(1)))
@@ -175,8 +176,8 @@ impl Slice {
     }
 }
 
-/// What a scan of `size` sees of `patient`, in memory: the CT's values, HU, and the labels in VISTA3D's numbers, with what there is of
-/// each part.
+/// What a scan of `size` sees of `patient`, in memory: the CT's values, HU, and the labels in
+/// VISTA3D's numbers, with what there is of each part.
 #[must_use]
 pub fn scan(patient: &Patient, size: Size) -> Scan {
     let grid = grid(size);
@@ -247,8 +248,9 @@ impl Tally {
     }
 }
 
-/// Writes `ct.nii.gz` (HU, 16 bits) and `labels.nii.gz` (VISTA3D's numbers, 8 bits) of `patient` into `folder`, which is made; `done` is
-/// told after each batch how many of how many slices there are.
+/// Writes `ct.nii.gz` (HU, 16 bits) and `labels.nii.gz` (VISTA3D's numbers, 8 bits) of `patient`
+/// into `folder`, which is made; `done` is told after each batch how many of how many slices there
+/// are.
 ///
 /// The same seed and size give the same files. Memory is that of 16 slices.
 ///

@@ -10,7 +10,8 @@ use super::anatomy::{self, CARVES, Part};
 /// Spacing of the points at which parts are compared, mm.
 const LATTICE_MM: f64 = 3.0;
 
-/// Two parts that both come this near to a point of the lattice might overlap: half of a cell's diagonal.
+/// Two parts that both come this near to a point of the lattice might overlap: half of a cell's
+/// diagonal.
 const NEAR_MM: f64 = 2.6;
 
 /// One wave of the deformation.
@@ -41,7 +42,8 @@ impl Placed {
         Self { part, low, high }
     }
 
-    /// Distance from its surface, negative inside, or something above `far` if it is farther than that.
+    /// Distance from its surface, negative inside, or something above `far` if it is farther than
+    /// that.
     fn distance(&self, p: &Point3<f64>, far: f64) -> f64 {
         let outside = (self.low - p.coords).sup(&(p.coords - self.high)).max();
         if outside > far {
@@ -78,7 +80,8 @@ pub struct Patient {
     pub scale: [f64; 3],
     /// How much wider and deeper than without fat.
     pub fat: f64,
-    /// The share of the variation of organs that was possible: 1, or less if they would have overlapped.
+    /// The share of the variation of organs that was possible: 1, or less if they would have
+    /// overlapped.
     pub variation: f64,
     pub(super) parts: Vec<Placed>,
     waves: Vec<Wave>,
@@ -195,7 +198,8 @@ impl Patient {
         self.waves.iter().map(|wave| wave.by.amax()).sum()
     }
 
-    /// The part that a nominal point belongs to, by index, and whether one lies in several that must not overlap.
+    /// The part that a nominal point belongs to, by index, and whether one lies in several that
+    /// must not overlap.
     pub(super) fn part_at(&self, p: &Point3<f64>, near: &[usize]) -> (Option<usize>, bool) {
         let mut found: Option<usize> = None;
         let mut overlap = false;

@@ -47,7 +47,8 @@ fn smooth_min(a: f64, b: f64, over: f64) -> f64 {
 }
 
 impl Shape {
-    /// Distance of `p` from the surface, negative inside; exact for tubes, of first order near the surface for the others.
+    /// Distance of `p` from the surface, negative inside; exact for tubes, of first order near the
+    /// surface for the others.
     pub(super) fn distance(&self, p: &Point3<f64>) -> f64 {
         match self {
             Self::Ellipsoid {

@@ -61,7 +61,8 @@ fn defects(patient: &Patient, size: Size) -> Vec<String> {
     defects
 }
 
-/// At 7 mm the thinnest tubes have few voxels, but overlaps are proved absent before anything is painted.
+/// At 7 mm the thinnest tubes have few voxels, but overlaps are proved absent before anything is
+/// painted.
 #[test]
 fn some_seeds_are_whole_patients() {
     for seed in 0..4 {

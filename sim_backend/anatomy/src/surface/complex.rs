@@ -72,13 +72,15 @@ impl Complex {
         self.triangles[triangle].map(|v| self.positions[v as usize])
     }
 
-    /// Whether each group has triangles of its own, outward, as marching cubes make them: surfaces of neighbours are then near each
-    /// other twice. Surface nets have triangles with the background before them too.
+    /// Whether each group has triangles of its own, outward, as marching cubes make them: surfaces
+    /// of neighbours are then near each other twice. Surface nets have triangles with the
+    /// background before them too.
     pub(crate) fn is_apart(&self) -> bool {
         self.sides.iter().all(|sides| sides[1] == 0)
     }
 
-    /// The volume of each group by its number, mm³; the background's is the negative of all others'.
+    /// The volume of each group by its number, mm³; the background's is the negative of all
+    /// others'.
     #[must_use]
     pub fn volumes(&self) -> Vec<f64> {
         let mut volumes = vec![0.0; 32];

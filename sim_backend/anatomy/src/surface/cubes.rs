@@ -1,7 +1,8 @@
-//! Marching cubes (Lorensen and Cline 1987) of one group at a time, with vertices half-way between voxels.
+//! Marching cubes (Lorensen and Cline 1987) of one group at a time, with vertices half-way between
+//! voxels.
 //!
-//! The table of triangles is computed from one rule, that on a cube's face corners of the group are cut off one by one, so that
-//! neighbouring cubes always agree.
+//! The table of triangles is computed from one rule, that on a cube's face corners of the group are
+//! cut off one by one, so that neighbouring cubes always agree.
 
 use std::collections::BTreeMap;
 
@@ -31,7 +32,8 @@ const fn edge(a: u8, b: u8) -> Edge {
     if a < b { (a, b) } else { (b, a) }
 }
 
-/// The edge by which a run of corners of `mask` ends on a face, by the edge by which it begins, for all faces of a cube.
+/// The edge by which a run of corners of `mask` ends on a face, by the edge by which it begins, for
+/// all faces of a cube.
 fn crossings(mask: u8) -> BTreeMap<Edge, Edge> {
     let inside = |corner: u8| mask >> corner & 1 == 1;
     let mut next = BTreeMap::new();

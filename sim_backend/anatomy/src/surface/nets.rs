@@ -1,7 +1,7 @@
 //! Surface nets (Gibson 1998) of all groups at once.
 //!
-//! Every face between voxels of two groups is a quad, every corner of such a face a vertex, which smoothing may move within half a voxel.
-//! Groups that meet share the quads between them.
+//! Every face between voxels of two groups is a quad, every corner of such a face a vertex, which
+//! smoothing may move within half a voxel. Groups that meet share the quads between them.
 
 use nalgebra::Point3;
 
@@ -16,7 +16,8 @@ const NONE: u32 = u32::MAX;
 pub struct Net {
     /// Places of vertices, voxel coordinates.
     pub positions: Vec<Point3<f64>>,
-    /// Corners of quads, counter-clockwise seen from the group that `sides` names second, in voxel coordinates.
+    /// Corners of quads, counter-clockwise seen from the group that `sides` names second, in voxel
+    /// coordinates.
     pub quads: Vec<[u32; 4]>,
     /// The groups behind and before each quad; 0 is background.
     pub sides: Vec<[u8; 2]>,

@@ -1,4 +1,5 @@
-//! Surfaces of balls and of noise are closed, have the voxels' volume, and stay within half a voxel.
+//! Surfaces of balls and of noise are closed, have the voxels' volume, and stay within half a
+//! voxel.
 
 use std::collections::BTreeMap;
 

@@ -1,7 +1,7 @@
 //! The tetrahedra of a body-centred cubic lattice whose middles lie in a mesh.
 //!
-//! Vertices are the corners and the middles of cubic cells. Two cells with a common face make four tetrahedra, each of their two middles
-//! and an edge of the face; twelve a cell, all of one shape.
+//! Vertices are the corners and the middles of cubic cells. Two cells with a common face make four
+//! tetrahedra, each of their two middles and an edge of the face; twelve a cell, all of one shape.
 
 use std::collections::BTreeMap;
 
@@ -109,7 +109,8 @@ fn pairs([x, y, z]: [usize; 3]) -> impl Iterator<Item = ([usize; 3], usize)> {
     })
 }
 
-/// Places of the corners, in halves of a side, of the four tetrahedra between `cell` and the next along `axis`.
+/// Places of the corners, in halves of a side, of the four tetrahedra between `cell` and the next
+/// along `axis`.
 fn of_pair(cell: [usize; 3], axis: usize) -> [[[usize; 3]; 4]; 4] {
     let low = cell.map(|c| 2 * c);
     let first = low.map(|c| c + 1);

@@ -19,7 +19,8 @@ fn mesh(inside: impl Fn([f64; 3]) -> bool) -> GroupMesh {
     GroupMesh::of(&Complex::of_net(nets::extract(&volume), &volume.grid), 0)
 }
 
-/// Whether each face is there once, or twice with the surface's, and edges of the surface are closed.
+/// Whether each face is there once, or twice with the surface's, and edges of the surface are
+/// closed.
 fn is_whole(filled: &Tetrahedra) -> bool {
     let surface = GroupMesh {
         positions: filled.positions.clone(),

@@ -75,8 +75,8 @@ pub(super) fn fractal(p: &Point3<f64>, seed: u64) -> f64 {
         / 1.875
 }
 
-/// Worley noise (S. Worley, "A cellular texture basis function", 1996): distances to the nearest of scattered points, one a cell of the
-/// lattice, and to the second one (F1, F2).
+/// Worley noise (S. Worley, "A cellular texture basis function", 1996): distances to the nearest of
+/// scattered points, one a cell of the lattice, and to the second one (F1, F2).
 pub(super) fn worley(p: &Point3<f64>, seed: u64) -> (f64, f64) {
     let (low, within) = cell(&(ROTATION * p));
     let (mut near, mut second) = (f64::INFINITY, f64::INFINITY);

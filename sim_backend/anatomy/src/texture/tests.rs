@@ -29,7 +29,8 @@ fn pixels(png: &[u8]) -> image::RgbImage {
     image::load_from_memory(png).unwrap().to_rgb8()
 }
 
-/// A pixel shows the colour of the place of the mesh that has its texture coordinates, on both sides of a seam.
+/// A pixel shows the colour of the place of the mesh that has its texture coordinates, on both
+/// sides of a seam.
 #[test]
 fn pixels_have_the_colours_of_their_places() {
     let groups = Groups::load("groups").unwrap();
@@ -98,7 +99,8 @@ fn patterns_keep_the_colour_of_their_group() {
     assert_eq!(twice[0], twice[1]);
 }
 
-/// Around charts their colours go on: a filter that looks beyond a seam does not find another colour.
+/// Around charts their colours go on: a filter that looks beyond a seam does not find another
+/// colour.
 #[test]
 fn colours_go_on_beyond_charts() {
     let groups = Groups::load("groups").unwrap();

@@ -1,7 +1,9 @@
-//! The patterns of a scene's surfaces, painted once on the device into images that all later frames read.
+//! The patterns of a scene's surfaces, painted once on the device into images that all later frames
+//! read.
 //!
-//! Painting costs as much as some frames, so the patterns may be as rich as they like; reading them costs the same for
-//! every pattern, and their coarser levels keep what is finer than a pixel from flickering.
+//! Painting costs as much as some frames, so the patterns may be as rich as they like; reading them
+//! costs the same for every pattern, and their coarser levels keep what is finer than a pixel from
+//! flickering.
 
 use std::collections::BTreeMap;
 
@@ -74,7 +76,8 @@ impl Wanted {
     }
 }
 
-/// What makes two surfaces the same layer: pattern, bits of its colour, of the middle and of the side of its square.
+/// What makes two surfaces the same layer: pattern, bits of its colour, of the middle and of the
+/// side of its square.
 type Key = (u32, [u32; 3], [u32; 2], u32);
 
 impl Paints {
@@ -229,7 +232,8 @@ impl<'a> Painter<'a> {
         }
     }
 
-    /// What paints colours and heights of one pattern: all in one take a software rasteriser seconds to compile.
+    /// What paints colours and heights of one pattern: all in one take a software rasteriser
+    /// seconds to compile.
     fn look(&self, pattern: u32) -> wgpu::RenderPipeline {
         let layouts = [Some(&self.paint_layout), Some(&self.source_layout)];
         let constants = [("PATTERN", f64::from(pattern))];

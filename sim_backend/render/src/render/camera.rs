@@ -8,8 +8,8 @@ use super::{Optics, RenderError};
 /// A camera somewhere in the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// The lens. Of one that distorts all planes of the image show the distorted picture: colour blended, ids and depth from the
-    /// nearest pixel of a pinhole's image.
+    /// The lens. Of one that distorts all planes of the image show the distorted picture: colour
+    /// blended, ids and depth from the nearest pixel of a pinhole's image.
     pub intrinsics: Intrinsics,
     /// Pose in the scene frame: x right, y down, z along the view.
     pub camera_in_scene: Pose,
@@ -21,14 +21,16 @@ pub struct Camera {
     pub optics: Optics,
 }
 
-/// The light guide of an endoscope: a spot with a place of its own, so that all cameras see the scene in the same light.
+/// The light guide of an endoscope: a spot with a place of its own, so that all cameras see the
+/// scene in the same light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
     /// Where the guide ends and points, scene frame: it shines along z.
     pub guide_in_scene: Pose,
     /// Angle from the axis at which the spot has faded to nothing, rad, below a quarter turn.
     pub cone_half_angle_rad: f64,
-    /// Brightness of the spot at [`Self::reference_distance_m`]; it falls with the square of the distance.
+    /// Brightness of the spot at [`Self::reference_distance_m`]; it falls with the square of the
+    /// distance.
     pub intensity: f64,
     /// Distance at which [`Self::intensity`] is meant, m.
     pub reference_distance_m: f64,
@@ -38,12 +40,13 @@ pub struct Light {
     pub warmth: f64,
 }
 
-/// Where the light guide ends beside the lens of an endoscope, camera frame, m. At the lens itself no shadow would be
-/// seen.
+/// Where the light guide ends beside the lens of an endoscope, camera frame, m. At the lens itself
+/// no shadow would be seen.
 const GUIDE_IN_CAMERA_M: [f64; 3] = [0.010, -0.012, 0.0];
 
 impl Light {
-    /// The light of an endoscope whose lens is `camera`: it covers what the camera sees and a little more.
+    /// The light of an endoscope whose lens is `camera`: it covers what the camera sees and a
+    /// little more.
     #[must_use]
     pub fn beside(camera: &Camera) -> Self {
         let lens = &camera.intrinsics;
@@ -72,10 +75,11 @@ impl Default for Light {
     }
 }
 
-/// The pose of a camera at `eye_m` that looks at `target_m` with `up` upwards in its image, all in the scene frame.
+/// The pose of a camera at `eye_m` that looks at `target_m` with `up` upwards in its image, all in
+/// the scene frame.
 ///
-/// Where `up` is parallel to the view another upward direction is chosen, always the same; where eye and target
-/// coincide the view is along the scene's z.
+/// Where `up` is parallel to the view another upward direction is chosen, always the same; where
+/// eye and target coincide the view is along the scene's z.
 #[must_use]
 pub fn look_at(eye_m: Point3<f64>, target_m: Point3<f64>, up: Vector3<f64>) -> Pose {
     let forward = (target_m - eye_m)
@@ -126,7 +130,8 @@ impl Camera {
         Ok(())
     }
 
-    /// Clip coordinates (y up, depth 0 at the near plane, 1 at the far one) of the pinhole from camera coordinates.
+    /// Clip coordinates (y up, depth 0 at the near plane, 1 at the far one) of the pinhole from
+    /// camera coordinates.
     pub(super) fn clip_from_camera(&self) -> Matrix4<f64> {
         let lens = &self.intrinsics;
         let (width, height) = (f64::from(lens.width), f64::from(lens.height));

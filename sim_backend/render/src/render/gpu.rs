@@ -1,4 +1,5 @@
-//! The Vulkan device that draws: found without a window, silent, and never panicking on its own errors.
+//! The Vulkan device that draws: found without a window, silent, and never panicking on its own
+//! errors.
 
 use core::future::Future;
 use core::pin::pin;
@@ -18,8 +19,9 @@ pub(super) struct Gpu {
 }
 
 impl Gpu {
-    /// Opens the best Vulkan adapter: a discrete GPU before an integrated one before a software rasteriser. Several that are alike take turns,
-    /// so that a machine's GPUs share what its renderers draw.
+    /// Opens the best Vulkan adapter: a discrete GPU before an integrated one before a software
+    /// rasteriser. Several that are alike take turns, so that a machine's GPUs share what its
+    /// renderers draw.
     pub(super) fn open() -> Result<Self, RenderError> {
         let mut description = wgpu::InstanceDescriptor::new_without_display_handle();
         description.backends = wgpu::Backends::VULKAN;
@@ -101,7 +103,8 @@ impl Gpu {
     }
 }
 
-/// Which of several GPUs that are alike is this renderer's: processes begin apart, and those of one process follow each other.
+/// Which of several GPUs that are alike is this renderer's: processes begin apart, and those of one
+/// process follow each other.
 fn turn() -> usize {
     static RENDERERS: AtomicUsize = AtomicUsize::new(0);
     let process = usize::try_from(std::process::id()).unwrap_or_default();

@@ -1,5 +1,5 @@
-//! The pass from the image of a pinhole to the picture of a lens and a sensor. A camera that has neither distortion nor
-//! [`Optics`](super::Optics) goes without it.
+//! The pass from the image of a pinhole to the picture of a lens and a sensor. A camera that has
+//! neither distortion nor [`Optics`](super::Optics) goes without it.
 
 use hal::Intrinsics;
 
@@ -10,7 +10,8 @@ use super::{Camera, RenderError};
 /// Bytes of a lens' record, see `lens.wgsl`.
 const RECORD_BYTES: u64 = 96;
 
-/// The image of the pinhole that a lens' picture is made from: the same focal lengths, but as large as the rays reach.
+/// The image of the pinhole that a lens' picture is made from: the same focal lengths, but as large
+/// as the rays reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Window {
     /// The pinhole.

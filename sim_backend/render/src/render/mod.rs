@@ -1,9 +1,11 @@
-//! The off-screen renderer: colour, metric depth and instance ids of a scene, as an endoscope sees it.
+//! The off-screen renderer: colour, metric depth and instance ids of a scene, as an endoscope sees
+//! it.
 //!
-//! It runs on any Vulkan device; a software rasteriser is enough. Coordinates go to the device relative to the camera, so
-//! that single precision is never spent on where the camera is. Ids and depth come from a pass of their own, with one
-//! sample a pixel, so that no way of shading touches them. What surfaces look like is in `bake.wgsl` (patterns, painted
-//! once), `surface.wgsl` and `light.wgsl`. On one device and driver the same inputs give the same bytes.
+//! It runs on any Vulkan device; a software rasteriser is enough. Coordinates go to the device
+//! relative to the camera, so that single precision is never spent on where the camera is. Ids and
+//! depth come from a pass of their own, with one sample a pixel, so that no way of shading touches
+//! them. What surfaces look like is in `bake.wgsl` (patterns, painted once), `surface.wgsl` and
+//! `light.wgsl`. On one device and driver the same inputs give the same bytes.
 
 mod bake;
 mod camera;
@@ -38,7 +40,8 @@ use records::{Eye, Records, View};
 use scene::Scene;
 use station::{Plot, Station, Stations};
 
-/// Renderers are opened one after the other: a driver may hang when several threads do it at the same time.
+/// Renderers are opened one after the other: a driver may hang when several threads do it at the
+/// same time.
 static OPENING: Mutex<()> = Mutex::new(());
 
 /// The buffers of one image.
@@ -70,9 +73,10 @@ pub enum Shading {
     /// Shadows, surroundings mirrored in metal and fluid, relief.
     #[default]
     Full,
-    /// For pictures that people look at: edges smoothed over the pixel, a film that is rougher where it is thin, light that comes
-    /// through thin tissue, hollows that the light from all around does not reach (both baked by rays when it is chosen first). A
-    /// software rasteriser takes 2.3 times as long (102 and 45 ms, `tests/benches/RESULTS.md`).
+    /// For pictures that people look at: edges smoothed over the pixel, a film that is rougher
+    /// where it is thin, light that comes through thin tissue, hollows that the light from all
+    /// around does not reach (both baked by rays when it is chosen first). A software rasteriser
+    /// takes 2.3 times as long (102 and 45 ms, `tests/benches/RESULTS.md`).
     Fine,
     /// Painted colours in the same light without any of these, in 0.62 of the time (28 and 45 ms).
     Plain,
@@ -99,8 +103,8 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Opens the best Vulkan device of the machine, a software one if there is no other, and uploads the meshes. Behind
-    /// them is the inside of a body.
+    /// Opens the best Vulkan device of the machine, a software one if there is no other, and
+    /// uploads the meshes. Behind them is the inside of a body.
     ///
     /// The loader's own variables, `VK_DRIVER_FILES` and the like, decide which devices there are.
     ///
@@ -162,8 +166,8 @@ impl Renderer {
         }
     }
 
-    /// Bends the visual `index`: its vertices go to where `mesh` has them, for all following images. The triangles stay what
-    /// they were; those of `mesh` are not looked at.
+    /// Bends the visual `index`: its vertices go to where `mesh` has them, for all following
+    /// images. The triangles stay what they were; those of `mesh` are not looked at.
     ///
     /// # Errors
     /// No such visual, or another number of vertices.
@@ -171,16 +175,17 @@ impl Renderer {
         self.scene.reshape(&self.gpu.queue, index, mesh)
     }
 
-    /// Multiplies the linear RGB of the visuals by `tints`, in their order, for all following images; those beyond the last one
-    /// have the colours that they came with.
+    /// Multiplies the linear RGB of the visuals by `tints`, in their order, for all following
+    /// images; those beyond the last one have the colours that they came with.
     pub fn tint(&mut self, tints: impl IntoIterator<Item = [f32; 3]>) {
         self.scene.tint(tints);
     }
 
     /// Takes one image: `poses` are the visuals' poses in the scene frame, in their order.
     ///
-    /// Fills colour, depth, ids, intrinsics and camera pose of `frame` and resizes its buffers if they do not fit;
-    /// stamp and sequence stay the caller's. After an error the frame's content is unspecified.
+    /// Fills colour, depth, ids, intrinsics and camera pose of `frame` and resizes its buffers if
+    /// they do not fit; stamp and sequence stay the caller's. After an error the frame's content is
+    /// unspecified.
     ///
     /// # Errors
     /// An image size, camera, light or number of poses that can't be, or a failing device.
@@ -194,8 +199,8 @@ impl Renderer {
         self.render_all(poses, light, &mut [(*camera, frame)])
     }
 
-    /// Takes an image from each of several cameras at the same instant, the same as one by one, but without waiting for
-    /// one before the next is begun, and with one shadow map for all.
+    /// Takes an image from each of several cameras at the same instant, the same as one by one, but
+    /// without waiting for one before the next is begun, and with one shadow map for all.
     ///
     /// # Errors
     /// As [`Self::render`]; then the content of all frames is unspecified.
@@ -224,7 +229,8 @@ impl Renderer {
         self.render_all_into(poses, light, &mut views)
     }
 
-    /// Takes one image straight into the caller's buffers: `width * height` pixels, row-major from the top left.
+    /// Takes one image straight into the caller's buffers: `width * height` pixels, row-major from
+    /// the top left.
     ///
     /// # Errors
     /// As [`Self::render`], and buffers of another size.
@@ -273,7 +279,8 @@ impl Renderer {
         Ok(())
     }
 
-    /// Begins the image of one camera at its station; the first one's submission draws the shadow map for all.
+    /// Begins the image of one camera at its station; the first one's submission draws the shadow
+    /// map for all.
     fn submit(
         &mut self,
         poses: &[Pose],

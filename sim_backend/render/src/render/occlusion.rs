@@ -1,4 +1,5 @@
-//! How open surfaces are to the light from all around, and how much light comes through them: baked by rays, a vertex at a time.
+//! How open surfaces are to the light from all around, and how much light comes through them: baked
+//! by rays, a vertex at a time.
 
 use hal::Mesh;
 use nalgebra::Vector3;
@@ -8,7 +9,8 @@ use crate::visual::Visual;
 
 type Vec3 = Vector3<f32>;
 
-/// What is further away than this hides nothing, m; nearer things hide the more, the nearer they are.
+/// What is further away than this hides nothing, m; nearer things hide the more, the nearer they
+/// are.
 const REACH_M: f32 = 0.012;
 
 /// Way in tissue on which red light falls to its e-th part, m.
@@ -42,7 +44,8 @@ impl Baked {
     };
 }
 
-/// Bakes all `visuals`, in their order and that of their vertices. Those that stand still hide each other, all others only themselves.
+/// Bakes all `visuals`, in their order and that of their vertices. Those that stand still hide each
+/// other, all others only themselves.
 pub(super) fn bake(visuals: &[Visual]) -> Vec<Baked> {
     let still = visuals.iter().filter(|visual| visual.is_still);
     let around = Rays::new(still.map(|visual| &visual.mesh));
@@ -123,8 +126,8 @@ fn across(axis: &Vec3) -> [Vec3; 2] {
     ]
 }
 
-/// Ray `index` of `count` about `axis`: a spiral over the disc of `radius` below the half sphere, so that each stands for the same share
-/// of a cosine's light.
+/// Ray `index` of `count` about `axis`: a spiral over the disc of `radius` below the half sphere,
+/// so that each stands for the same share of a cosine's light.
 fn lobe(index: u16, count: u16, radius: f32, axis: &Vec3, [u, v]: &[Vec3; 2]) -> Vec3 {
     let share = (f32::from(index) + 0.5) / f32::from(count);
     let (sin, cos) = (2.399_963_2 * f32::from(index)).sin_cos();
@@ -171,7 +174,8 @@ mod tests {
         assert!(baked.iter().all(|it| it.open > 0.999), "{baked:?}");
     }
 
-    /// Between two long walls one sees the cosine of their angle of the light; they begin right there, so nothing falls off.
+    /// Between two long walls one sees the cosine of their angle of the light; they begin right
+    /// there, so nothing falls off.
     #[test]
     fn grooves_are_as_dark_as_they_are_steep() {
         for slope in [0.0_f64, 0.5, 1.0, 2.0] {
@@ -202,7 +206,8 @@ mod tests {
         assert!(middle(&together) < 0.6, "{}", middle(&together));
     }
 
-    /// Through a plate goes what its thickness lets through, through a thick one and through what has no far side nothing.
+    /// Through a plate goes what its thickness lets through, through a thick one and through what
+    /// has no far side nothing.
     #[test]
     fn light_comes_through_what_is_thin() {
         let passed = |half_m: f64| {

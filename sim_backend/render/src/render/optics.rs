@@ -1,20 +1,22 @@
 //! What lies between a scene and its picture besides the lens' geometry.
 
-/// What dims, veils and roughens a picture on its way through lens and sensor. Colour alone shows it: ids and depth are those of
-/// the clean picture. The same numbers give the same bytes on one device. [`super::Shading::Plain`] leaves it out.
+/// What dims, veils and roughens a picture on its way through lens and sensor. Colour alone shows
+/// it: ids and depth are those of the clean picture. The same numbers give the same bytes on one
+/// device. [`super::Shading::Plain`] leaves it out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Optics {
-    /// Share of the light that is lost in the corner that is furthest from the principal point, 0 to 1; it grows with the
-    /// square of the distance.
+    /// Share of the light that is lost in the corner that is furthest from the principal point, 0
+    /// to 1; it grows with the square of the distance.
     pub vignette: f64,
     /// Factor of the light that the sensor collects, above 0.
     pub exposure: f64,
-    /// Standard deviation that the photons of a brightness of 1 make, of that brightness; it grows with the root. From 0.
+    /// Standard deviation that the photons of a brightness of 1 make, of that brightness; it grows
+    /// with the root. From 0.
     pub shot_noise: f64,
     /// Standard deviation of the sensor in the dark, in the same brightness. From 0.
     pub read_noise: f64,
-    /// Share of the light that electrosurgical smoke takes and scatters on a short way, of the way in metres, 1/m; in plumes, so
-    /// from a fifth to nearly twice as much. From 0.
+    /// Share of the light that electrosurgical smoke takes and scatters on a short way, of the way
+    /// in metres, 1/m; in plumes, so from a fifth to nearly twice as much. From 0.
     pub smoke_per_m: f64,
     /// Blood on the lens: how many spots, and how large, 0 (none) to 1.
     pub blood: f64,

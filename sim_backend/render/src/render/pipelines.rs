@@ -297,7 +297,8 @@ fn colour_pipeline(
             },
         },
         primitive: culled(),
-        // With one sample colour is drawn on the depth of the labels, the backdrop on what is left free.
+        // With one sample colour is drawn on the depth of the labels, the backdrop on what is left
+        // free.
         depth_stencil: Some(wgpu::DepthStencilState {
             depth_write_enabled: Some(samples > 1 && !behind),
             depth_compare: Some(wgpu::CompareFunction::LessEqual),

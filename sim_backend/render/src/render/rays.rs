@@ -60,7 +60,8 @@ impl Triangle {
 }
 
 impl Node {
-    /// Whether a ray, of which `inverse` is one over its direction, passes through nearer than `reach`.
+    /// Whether a ray, of which `inverse` is one over its direction, passes through nearer than
+    /// `reach`.
     fn is_met(&self, from: &Vec3, inverse: &Vec3, reach: f32) -> bool {
         let (mut enters, mut leaves) = (0.0_f32, reach);
         for axis in 0..3 {
@@ -122,7 +123,8 @@ impl Rays {
         count_u32(place)
     }
 
-    /// How far it is from `from` along the unit vector `along` to the first triangle that is nearer than `reach`.
+    /// How far it is from `from` along the unit vector `along` to the first triangle that is nearer
+    /// than `reach`.
     pub(super) fn nearest(&self, from: &Vec3, along: &Vec3, reach: f32) -> Option<f32> {
         let inverse = along.map(|it| 1.0 / it);
         let mut found = reach;
@@ -156,7 +158,8 @@ mod tests {
     use super::*;
     use crate::shapes::sphere;
 
-    /// From places inside and outside of a ball, in many directions, against the formula; and against all triangles one by one.
+    /// From places inside and outside of a ball, in many directions, against the formula; and
+    /// against all triangles one by one.
     #[test]
     fn rays_meet_a_ball_where_it_is() {
         let rays = Rays::new([&sphere(0.01, 64)]);

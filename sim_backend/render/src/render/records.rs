@@ -1,4 +1,5 @@
-//! What one eye, a camera or the light, tells the device about a frame: one record of its own and one of each object.
+//! What one eye, a camera or the light, tells the device about a frame: one record of its own and
+//! one of each object.
 
 use core::num::NonZero;
 

@@ -152,7 +152,8 @@ impl Scene {
         Ok(())
     }
 
-    /// Multiplies the colours of the visuals by `tints`, in their order; of those beyond the last tint by nothing.
+    /// Multiplies the colours of the visuals by `tints`, in their order; of those beyond the last
+    /// tint by nothing.
     pub(super) fn tint(&mut self, tints: impl IntoIterator<Item = [f32; 3]>) {
         let tints = tints.into_iter().chain(core::iter::repeat([1.0; 3]));
         for (part, tint) in self.parts.iter_mut().zip(tints) {
@@ -165,8 +166,8 @@ impl Scene {
         self.parts.len()
     }
 
-    /// Writes the records of one eye and decides its order of drawing: nearest first, so that what it hides is never
-    /// shaded.
+    /// Writes the records of one eye and decides its order of drawing: nearest first, so that what
+    /// it hides is never shaded.
     pub(super) fn place(
         &mut self,
         queue: &wgpu::Queue,
@@ -199,8 +200,9 @@ impl Scene {
         Ok(())
     }
 
-    /// Issues the draws in the order of the last [`Self::place`], each with its record of `records` and with the pipeline that
-    /// `choose` names for its pattern; other bind groups, and the pipeline where it names none, are the caller's.
+    /// Issues the draws in the order of the last [`Self::place`], each with its record of `records`
+    /// and with the pipeline that `choose` names for its pattern; other bind groups, and the
+    /// pipeline where it names none, are the caller's.
     pub(super) fn draw<'a>(
         &self,
         pass: &mut wgpu::RenderPass<'_>,
@@ -230,7 +232,8 @@ impl Scene {
     }
 }
 
-/// Where a point lies on its surface, m: its x and y, continued over edges as if the surface were bent flat there.
+/// Where a point lies on its surface, m: its x and y, continued over edges as if the surface were
+/// bent flat there.
 fn unrolled(position: &[f32; 3], normal: &[f32; 3]) -> [f32; 2] {
     [0, 1].map(|axis| position[axis] - normal[axis] * position[2])
 }

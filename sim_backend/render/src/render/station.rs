@@ -1,4 +1,5 @@
-//! Where images are taken: targets and records for each camera whose image is under way, kept from frame to frame.
+//! Where images are taken: targets and records for each camera whose image is under way, kept from
+//! frame to frame.
 
 use super::lens::{LensPass, Window};
 use super::records::Records;
@@ -57,8 +58,8 @@ impl Plot<'_> {
 }
 
 impl Stations {
-    /// Makes the first stations fit `cameras`, in order. A caller who takes images of the same sizes again and again finds
-    /// them all there. `pass` is made when the first lens comes.
+    /// Makes the first stations fit `cameras`, in order. A caller who takes images of the same
+    /// sizes again and again finds them all there. `pass` is made when the first lens comes.
     pub(super) fn fit<'a>(
         &mut self,
         plot: &Plot<'_>,

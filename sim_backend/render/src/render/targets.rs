@@ -1,8 +1,9 @@
 //! The images on the device and the way they come back: one staging buffer, mapped once a frame.
 //!
-//! Ids and range are drawn first, with one sample a pixel and no blending. Colour follows in a pass of its own: smoothed
-//! over the pixel by several samples, or with one sample on the first pass's depth. Where there is a lens these are images of
-//! its own, and a last pass makes the picture of them.
+//! Ids and range are drawn first, with one sample a pixel and no blending. Colour follows in a pass
+//! of its own: smoothed over the pixel by several samples, or with one sample on the first pass's
+//! depth. Where there is a lens these are images of its own, and a last pass makes the picture of
+//! them.
 
 use hal::Intrinsics;
 use hal::count::index;
@@ -49,7 +50,8 @@ pub(super) struct Targets {
 }
 
 impl Targets {
-    /// For pictures of `intrinsics`, with the pass of a lens that shows `lens` of the scene if there is one.
+    /// For pictures of `intrinsics`, with the pass of a lens that shows `lens` of the scene if
+    /// there is one.
     pub(super) fn new(
         device: &wgpu::Device,
         intrinsics: &Intrinsics,
@@ -227,8 +229,8 @@ impl Targets {
         self.staging.map_async(wgpu::MapMode::Read, .., |_| ());
     }
 
-    /// Waits for the images that `submission` draws and [`Self::ask`] asked for, and unpacks them into `planes`, which
-    /// fit.
+    /// Waits for the images that `submission` draws and [`Self::ask`] asked for, and unpacks them
+    /// into `planes`, which fit.
     pub(super) fn read(
         &self,
         gpu: &Gpu,
@@ -270,7 +272,8 @@ impl Targets {
     }
 }
 
-/// Copies texels of four bytes without their fourth, four texels at a time: whole texels, each over the fourth byte of the one before.
+/// Copies texels of four bytes without their fourth, four texels at a time: whole texels, each over
+/// the fourth byte of the one before.
 fn without_fourths(texels: &[u8], rgb: &mut [u8]) {
     let (fours, rest) = texels.as_chunks::<16>();
     let (packed, last) = rgb.as_chunks_mut::<12>();

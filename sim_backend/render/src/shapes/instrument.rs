@@ -1,8 +1,8 @@
 //! Meshes of the needle driver, from the shaft to the finger tips.
 //!
-//! All parts use one convention: z towards the tip, the wrist-pitch axis along y, the wrist-yaw axis (and the jaw's
-//! hinge) along x. With the wrist straight all frames are parallel and the yaw axis lies [`psm::WRIST_M`] beyond the
-//! pitch axis.
+//! All parts use one convention: z towards the tip, the wrist-pitch axis along y, the wrist-yaw
+//! axis (and the jaw's hinge) along x. With the wrist straight all frames are parallel and the yaw
+//! axis lies [`psm::WRIST_M`] beyond the pitch axis.
 
 use core::f64::consts::PI;
 
@@ -23,7 +23,8 @@ pub enum Finger {
 /// Half the thickness of the sheet that the wrist's ears are cut from, m.
 const EAR_HALF_M: f64 = 0.0007;
 
-/// The shaft, `length_m` of it, up to the two ears that hold the pitch axle. The origin is on the wrist-pitch axis.
+/// The shaft, `length_m` of it, up to the two ears that hold the pitch axle. The origin is on the
+/// wrist-pitch axis.
 #[must_use]
 pub fn shaft(length_m: f64) -> Mesh {
     let radius = psm::SHAFT_RADIUS_M;
@@ -111,7 +112,8 @@ pub fn finger(which: Finger) -> Mesh {
 /// How far the floor between the teeth lies behind the gripping face, m.
 const GAP_M: f64 = 0.00012;
 
-/// A blade along z with a flat gripping side and a round back, through sections of `(z, half width, thickness)`.
+/// A blade along z with a flat gripping side and a round back, through sections of `(z, half width,
+/// thickness)`.
 fn blade(sections: &[(f64, f64, f64)]) -> Mesh {
     let across = 8;
     let back: Vec<Vec<_>> = sections

@@ -1,4 +1,5 @@
-//! A task's scene for whoever draws it without a renderer of ours: shapes, and where they and the cameras are at an instant.
+//! A task's scene for whoever draws it without a renderer of ours: shapes, and where they and the
+//! cameras are at an instant.
 
 use hal::{Intrinsics, Mesh, Pose};
 use trocar_render::Optics;
@@ -10,10 +11,12 @@ use crate::SimulationError;
 use crate::scene::{SceneSnapshot, THINGS_MAX};
 use crate::task::{TaskConfig, TaskScene, arms_poses, arms_visuals, scene_visuals};
 
-/// Places of things and goal by which what moves is told from what does not, m: in no order along any line are they the same.
+/// Places of things and goal by which what moves is told from what does not, m: in no order along
+/// any line are they the same.
 const PLACES_M: [[f64; 2]; 3] = [[1.0, 0.3], [-0.2, 1.0], [-1.0, -0.7]];
 
-/// The shapes of one episode. All poses are in the scene frame, in metres; cameras look along their z axis, x is to the right of the image.
+/// The shapes of one episode. All poses are in the scene frame, in metres; cameras look along their
+/// z axis, x is to the right of the image.
 pub struct SceneModel {
     /// None of arms alone.
     scene: Option<Box<dyn TaskScene>>,
@@ -42,8 +45,8 @@ impl SceneModel {
         }
     }
 
-    /// What of that episode does not move, and the arms, whatever else there may be: of an episode of which it is known where the arms are, and not where
-    /// things are, nor the goal, nor a flap.
+    /// What of that episode does not move, and the arms, whatever else there may be: of an episode
+    /// of which it is known where the arms are, and not where things are, nor the goal, nor a flap.
     #[must_use]
     pub fn at_rest(task: &TaskConfig, seed: u64) -> Self {
         let mut model = Self::new(task, seed);
@@ -85,7 +88,8 @@ impl SceneModel {
         }
     }
 
-    /// The same with these cameras too, which no task has: name, lens, and where it is in the scene.
+    /// The same with these cameras too, which no task has: name, lens, and where it is in the
+    /// scene.
     #[must_use]
     pub fn seen_by(
         mut self,
@@ -103,7 +107,8 @@ impl SceneModel {
         self
     }
 
-    /// From now on the camera of this index is there; one that an arm carries goes with it as before.
+    /// From now on the camera of this index is there; one that an arm carries goes with it as
+    /// before.
     pub fn move_camera(&mut self, camera: usize, camera_in_scene: &Pose) {
         let view = self.views.get_mut(camera);
         if let Some(view) = view.filter(|view| view.carrier.is_none()) {
@@ -167,7 +172,8 @@ mod tests {
     use super::*;
     use crate::simulation::{Rendering, Simulation};
 
-    /// The arms are where a simulation has them, from their joints alone, with the ground and without anything that moves on it.
+    /// The arms are where a simulation has them, from their joints alone, with the ground and
+    /// without anything that moves on it.
     #[test]
     fn arms_and_what_rests_are_known_without_a_simulation() {
         for name in TaskConfig::names() {

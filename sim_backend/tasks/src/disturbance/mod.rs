@@ -1,8 +1,9 @@
 //! Disturbances of a demonstration, so that it shows how the expert recovers.
 //!
-//! What is *executed* leaves what the expert intends, and what it intends is what a recording keeps: so a policy learns the
-//! corrections in states that it comes to by itself (Laskey et al., "DART: Noise Injection for Robust Imitation Learning",
-//! 2017). Four kinds, all drawn from the episode's seed, at most one at a time on each arm:
+//! What is *executed* leaves what the expert intends, and what it intends is what a recording
+//! keeps: so a policy learns the corrections in states that it comes to by itself (Laskey et al.,
+//! "DART: Noise Injection for Robust Imitation Learning", 2017). Four kinds, all drawn from the
+//! episode's seed, at most one at a time on each arm:
 //!
 //! | kind   | what happens                                                                      | what the expert shows      |
 //! |--------|-----------------------------------------------------------------------------------|----------------------------|
@@ -35,8 +36,9 @@ const JAW_RAMP_S: f64 = 0.08;
 /// Longest time that a miss is kept up, s.
 const MISS_S_MAX: f64 = 4.0;
 
-/// How far an intention may be from the one foreseen a step before until the expert counts as having thought again, m: then it
-/// goes on from where its hand is, and what led the hand there is over.
+/// How far an intention may be from the one foreseen a step before until the expert counts as
+/// having thought again, m: then it goes on from where its hand is, and what led the hand there is
+/// over.
 const REPLANNED_M: f64 = 0.002;
 
 /// What happened.
@@ -152,8 +154,8 @@ impl Disturber {
         &self.happened
     }
 
-    /// What is to be executed in place of what the expert wants at this step: `intended`, a chunk for each arm. Also nudges the
-    /// thing, if that is due.
+    /// What is to be executed in place of what the expert wants at this step: `intended`, a chunk
+    /// for each arm. Also nudges the thing, if that is due.
     pub fn step(
         &mut self,
         now: TimeNs,

@@ -73,7 +73,8 @@ fn add_setbacks(task: &TaskConfig, rng: &mut Rng, planned: &mut Vec<Planned>) {
     }
 }
 
-/// Around the thing the tip goes back more than sideways, so that it presses on nothing; elsewhere it does not go down.
+/// Around the thing the tip goes back more than sideways, so that it presses on nothing; elsewhere
+/// it does not go down.
 fn offset(arm: usize, activity: Activity, rng: &mut Rng) -> Planned {
     let mut about = |half: f64| rng.range(-half, half);
     let (in_scene_m, in_tip_m, turn_half_rad) = match activity {

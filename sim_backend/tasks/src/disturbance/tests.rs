@@ -1,4 +1,5 @@
-//! Facts about disturbed demonstrations: what befalls them, that experts recover, and that nothing else changes.
+//! Facts about disturbed demonstrations: what befalls them, that experts recover, and that nothing
+//! else changes.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -43,7 +44,8 @@ fn kind(what: &DisturbanceKind) -> &'static str {
     }
 }
 
-/// Checks that of the demonstrations `seeds` of the task `name`, all of them disturbed, at least `least` succeed.
+/// Checks that of the demonstrations `seeds` of the task `name`, all of them disturbed, at least
+/// `least` succeed.
 fn recovers(name: &str, seeds: Range<u64>, least: usize) {
     let task = patient(name);
     let (mut done, mut retried) = (0, 0);

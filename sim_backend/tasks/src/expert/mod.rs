@@ -1,5 +1,6 @@
-//! Scripted experts. An expert sees the scene's true state, once a policy step, and answers with a chunk of tip targets, as a
-//! policy does; each is a little different with each seed. The scripts that they follow lie with their tasks.
+//! Scripted experts. An expert sees the scene's true state, once a policy step, and answers with a
+//! chunk of tip targets, as a policy does; each is a little different with each seed. The scripts
+//! that they follow lie with their tasks.
 
 use hal::{Chunk, TimeNs, TipTarget};
 
@@ -24,7 +25,8 @@ impl Expert {
         }
     }
 
-    /// The same for an operator to go by, who sees late and waits with `care` for what the hands come to.
+    /// The same for an operator to go by, who sees late and waits with `care` for what the hands
+    /// come to.
     #[must_use]
     pub fn careful(task: &TaskConfig, seed: u64, care: SettleCriteria) -> Self {
         let mut expert = Self::new(task, seed);
@@ -32,14 +34,15 @@ impl Expert {
         expert
     }
 
-    /// The first arm's target for `now` and those that would follow if the arm kept up and nothing unforeseen happened;
-    /// to be called every [`STEP_NS`].
+    /// The first arm's target for `now` and those that would follow if the arm kept up and nothing
+    /// unforeseen happened; to be called every [`STEP_NS`].
     pub fn chunk(&mut self, now: TimeNs, scene: &SceneState, sequence: u64) -> Chunk {
         let wishes = self.script.wishes(now, scene);
         Chunk::new(now, sequence, STEP_NS, &wishes.map(|wish| wish.first))
     }
 
-    /// The same for all arms of the task, in their order; to be called instead of [`Expert::chunk`].
+    /// The same for all arms of the task, in their order; to be called instead of
+    /// [`Expert::chunk`].
     pub fn chunks(&mut self, now: TimeNs, scene: &SceneState, sequence: u64) -> Vec<Chunk> {
         let wishes = self.script.wishes(now, scene);
         let first = wishes.map(|wish| Some(wish.first));
@@ -60,7 +63,8 @@ impl Expert {
         self.script.attempts()
     }
 
-    /// What each arm was doing at the last step; an arm that the task lacks does [`Activity::Other`].
+    /// What each arm was doing at the last step; an arm that the task lacks does
+    /// [`Activity::Other`].
     #[must_use]
     pub fn activities(&self) -> [Activity; ARMS_MAX] {
         self.script.activities()

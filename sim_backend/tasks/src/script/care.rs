@@ -1,4 +1,5 @@
-//! A script as an operator with visual delay and motor noise follows it: each phase waits until the tip is seen at its goal.
+//! A script as an operator with visual delay and motor noise follows it: each phase waits until the
+//! tip is seen at its goal.
 
 use hal::{Pose, TimeNs};
 use trocar_world::rng::Rng;
@@ -11,14 +12,16 @@ fn step_s() -> f64 {
     TimeNs(STEP_NS).seconds()
 }
 
-/// What an operator waits for at the end of each motion, which the expert, whose arm is where it wants it, need not.
+/// What an operator waits for at the end of each motion, which the expert, whose arm is where it
+/// wants it, need not.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SettleCriteria {
     /// How near the tip has to be to where the motion ends, m.
     pub near_m: f64,
     /// The same of its rotation, rad.
     pub near_rad: f64,
-    /// How long to look after each motion before the next one: evenly from the first to the second, s.
+    /// How long to look after each motion before the next one: evenly from the first to the second,
+    /// s.
     pub pause_s: [f64; 2],
     /// How long to wait at most for the tip to be near, s: what holds it does not go away.
     pub patience_s: f64,
@@ -48,7 +51,8 @@ impl Careful {
         motion.put_off(self.rng.range(least, most));
     }
 
-    /// Puts the end of `motion` off at `now` as long as the tip, seen at `tip_in_scene`, is not near it.
+    /// Puts the end of `motion` off at `now` as long as the tip, seen at `tip_in_scene`, is not
+    /// near it.
     pub(crate) fn wait(&mut self, motion: &mut Motion, now: TimeNs, tip_in_scene: &Pose) {
         let over = motion.overdue_s(now) > -step_s();
         if over && self.waited_s < self.care.patience_s && !self.is_near(motion, tip_in_scene) {

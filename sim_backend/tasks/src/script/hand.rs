@@ -5,7 +5,8 @@ use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::motion::{Motion, Placement};
 
-/// How far the measured tip may be from its target at the end of a motion, m, and how long to wait for it, s.
+/// How far the measured tip may be from its target at the end of a motion, m, and how long to wait
+/// for it, s.
 const ARRIVED_M: f64 = 0.0006;
 pub(crate) const ARRIVED_PATIENCE_S: f64 = 0.6;
 

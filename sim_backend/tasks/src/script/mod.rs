@@ -1,8 +1,9 @@
-//! What the scripts of all tasks share. Each lies with its task, and is a little different with each seed.
+//! What the scripts of all tasks share. Each lies with its task, and is a little different with
+//! each seed.
 //!
-//! A script sees the scene's true state, once a policy step, and answers with the tip targets of that instant. Targets
-//! form smooth paths from rest to rest, so that they can be recorded as demonstrations. Scripts follow what moves, and
-//! start over when a grasp failed.
+//! A script sees the scene's true state, once a policy step, and answers with the tip targets of
+//! that instant. Targets form smooth paths from rest to rest, so that they can be recorded as
+//! demonstrations. Scripts follow what moves, and start over when a grasp failed.
 
 pub(crate) mod alone;
 pub(crate) mod care;
@@ -36,7 +37,8 @@ pub(crate) struct TipTargets {
 
 /// What an expert of one task does.
 pub(crate) trait Script: Clone + Debug + Send + 'static {
-    /// The wish for `now`; to be asked every [`STEP_NS`]. The first call starts from where the tips are measured.
+    /// The wish for `now`; to be asked every [`STEP_NS`]. The first call starts from where the tips
+    /// are measured.
     fn step(&mut self, now: TimeNs, scene: &SceneState) -> TipTargets;
 
     /// Attempts at a grasp begun so far, the present one included.

@@ -72,7 +72,8 @@ impl Motion {
         pace: Pace,
     ) -> Self {
         let start = from.tip_in_scene.translation.vector;
-        // A bow goes out and back; 2.6 covers the peak of its own speed on top of that of the straight way.
+        // A bow goes out and back; 2.6 covers the peak of its own speed on top of that of the
+        // straight way.
         let way_m = (to.tip_in_scene.translation.vector - start).norm() + 2.6 * bow_m.norm();
         let turn_rad = from
             .tip_in_scene
@@ -143,7 +144,8 @@ impl Motion {
         &self.to
     }
 
-    /// Moves the end towards `wanted`, by at most `step_m` and `step_rad`, so that the path bends instead of jumping.
+    /// Moves the end towards `wanted`, by at most `step_m` and `step_rad`, so that the path bends
+    /// instead of jumping.
     pub(crate) fn drift_end(&mut self, wanted: &Pose, step_m: f64, step_rad: f64) {
         let end = &mut self.to.tip_in_scene;
         let gap_m = wanted.translation.vector - end.translation.vector;
@@ -213,7 +215,8 @@ impl Swing {
     }
 }
 
-/// Minimum-jerk blend from 0 to 1: velocity and acceleration vanish at both ends (Flash and Hogan, 1985).
+/// Minimum-jerk blend from 0 to 1: velocity and acceleration vanish at both ends (Flash and Hogan,
+/// 1985).
 fn blend(share: f64) -> f64 {
     share.powi(3) * (10.0 - 15.0 * share + 6.0 * share * share)
 }

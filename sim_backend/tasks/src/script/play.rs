@@ -12,8 +12,8 @@ use super::motion::{Motion, Placement};
 const FOLLOW_STEP_M: f64 = 0.000_8;
 const FOLLOW_STEP_RAD: f64 = 0.04;
 
-/// Distance between the measured tip and where it was meant to be beyond which another attempt begins at the measured one, m;
-/// without a disturbance it stays far below.
+/// Distance between the measured tip and where it was meant to be beyond which another attempt
+/// begins at the measured one, m; without a disturbance it stays far below.
 const OFF_M: f64 = 0.002_5;
 
 /// A transition: from a stage, upon an event, to another stage.
@@ -39,7 +39,8 @@ pub(crate) trait Stage: Copy + Debug + PartialEq + Send + 'static {
     }
 }
 
-/// The stages of a grasp: in to the thing, close, and if that fails open and back to where an attempt begins.
+/// The stages of a grasp: in to the thing, close, and if that fails open and back to where an
+/// attempt begins.
 pub(crate) struct Grasp<S> {
     /// Going in, jaw open.
     pub(crate) enter: S,
@@ -77,7 +78,8 @@ pub(crate) enum Event {
     Gripped,
     /// The jaw holds the needle, whose point is in the hole.
     Regripped,
-    /// The jaw has closed on nothing or at the wrong place, the thing has slipped out, or is not where it should be.
+    /// The jaw has closed on nothing or at the wrong place, the thing has slipped out, or is not
+    /// where it should be.
     Lost,
     /// The thing does not move on.
     Stuck,
@@ -275,8 +277,8 @@ fn is_off(meant: &Placement, tip: &Pose) -> bool {
     gap.norm() > OFF_M
 }
 
-/// Checks a state machine: no event leads two ways, none stays where it is, and each stage is reached and has a way on, but for
-/// `last`.
+/// Checks a state machine: no event leads two ways, none stays where it is, and each stage is
+/// reached and has a way on, but for `last`.
 #[cfg(test)]
 pub(crate) fn check_transitions<S: Stage>(last: Option<S>) {
     let transitions = [S::GRASP.as_slice(), S::TRANSITIONS].concat();

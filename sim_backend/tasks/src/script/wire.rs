@@ -9,15 +9,15 @@ use trocar_world::needle::NeedleShape;
 
 use super::hand::straight_down;
 
-/// Distance between the closed finger tips and the ground at the grasp, m. The less, the further the tips reach beyond
-/// the wire.
+/// Distance between the closed finger tips and the ground at the grasp, m. The less, the further
+/// the tips reach beyond the wire.
 const TIP_CLEARANCE_M: f64 = 0.000_1;
 
 /// Thickness of a finger around the wire, m.
 const FINGER_REACH_M: f64 = 0.0015;
 
-/// The highest point of the ground under closed fingers at `grasp` that open along `opening`, m; open, their tips are higher than
-/// closed.
+/// The highest point of the ground under closed fingers at `grasp` that open along `opening`, m;
+/// open, their tips are higher than closed.
 fn highest_under_fingers(
     grasp: &Point3<f64>,
     opening: &Vector3<f64>,
@@ -30,10 +30,11 @@ fn highest_under_fingers(
         .fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// The pose of the control point in which closing the jaw grips the wire `along_m` from the middle of its arc.
+/// The pose of the control point in which closing the jaw grips the wire `along_m` from the middle
+/// of its arc.
 ///
-/// The tool points straight down and opens across the wire; the finger tips stay clear of the ground, whose height over
-/// the scene's x and y is `ground_m`.
+/// The tool points straight down and opens across the wire; the finger tips stay clear of the
+/// ground, whose height over the scene's x and y is `ground_m`.
 pub(crate) fn wire_grasp(
     needle: &NeedleShape,
     needle_in_scene: &Pose,
@@ -57,10 +58,12 @@ pub(crate) fn wire_grasp(
     )
 }
 
-/// The pose of the control point in which closing the jaw grips the wire at `angle_rad` from the middle of its arc,
-/// towards the needle's point, with the finger tips `beyond_m` beyond the wire's middle line.
+/// The pose of the control point in which closing the jaw grips the wire at `angle_rad` from the
+/// middle of its arc, towards the needle's point, with the finger tips `beyond_m` beyond the wire's
+/// middle line.
 ///
-/// The tool points straight down and opens across the wire, as near to the home rotation as that goes.
+/// The tool points straight down and opens across the wire, as near to the home rotation as that
+/// goes.
 pub(crate) fn wire_hold(
     needle: &NeedleShape,
     needle_in_scene: &Pose,

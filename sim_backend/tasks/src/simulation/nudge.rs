@@ -37,8 +37,9 @@ impl Nudge {
 }
 
 impl Simulation {
-    /// Begins to nudge the thing that the task is about; the nudge ends early where an instrument touches it or something is in its
-    /// way. False if there is no such thing, or an instrument touches it now.
+    /// Begins to nudge the thing that the task is about; the nudge ends early where an instrument
+    /// touches it or something is in its way. False if there is no such thing, or an instrument
+    /// touches it now.
     pub fn nudge(&mut self, nudge: Nudge) -> bool {
         let can = self.world.thing_count() > 0 && !self.is_touched();
         if can {

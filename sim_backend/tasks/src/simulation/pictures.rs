@@ -26,7 +26,8 @@ impl Looks {
             let path = std::path::Path::new(&folder).join(format!("{name}.ppm"));
             std::fs::write(path, picture).unwrap();
         }
-        // From so steeply above, wrists hide most of jaws that point down, and little is seen of what is behind.
+        // From so steeply above, wrists hide most of jaws that point down, and little is seen of
+        // what is behind.
         let side = simulation.cameras().unwrap().find(SIDE).unwrap();
         let mut other = simulation.cameras().unwrap().blank_frame(side).unwrap();
         simulation.render(side, &mut other).unwrap();
@@ -108,8 +109,9 @@ fn every_task_shows_all_of_its_parts() {
     }
 }
 
-/// Pixels of a plain picture, along one axis, whose rays fall on the centre of a pixel of a calibrated one by OpenCV's formula: both indices.
-/// `plain` and `calibrated` are focal length and principal point.
+/// Pixels of a plain picture, along one axis, whose rays fall on the centre of a pixel of a
+/// calibrated one by OpenCV's formula: both indices. `plain` and `calibrated` are focal length and
+/// principal point.
 fn matching(size: u32, plain: [f64; 2], calibrated: [f64; 2]) -> Vec<(usize, usize)> {
     let pairs = (0..size).filter_map(|pixel| {
         let ray = (f64::from(pixel) + 0.5 - plain[1]) / plain[0];
@@ -121,8 +123,9 @@ fn matching(size: u32, plain: [f64; 2], calibrated: [f64; 2]) -> Vec<(usize, usi
     pairs.collect()
 }
 
-/// Of a camera with pixels three times as narrow, off centre, a pixel with the ray of a plain camera's pixel shows its id, depth and colour. The
-/// next column or row does not: half a pixel would be seen.
+/// Of a camera with pixels three times as narrow, off centre, a pixel with the ray of a plain
+/// camera's pixel shows its id, depth and colour. The next column or row does not: half a pixel
+/// would be seen.
 #[test]
 fn calibrated_camera_sees_along_opencvs_rays() {
     let plain = TaskConfig::shipped("needle-lift");

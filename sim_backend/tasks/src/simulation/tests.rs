@@ -17,7 +17,8 @@ const EASE_S: f64 = 0.02;
 const HALF_BRAKE_S: f64 = 0.06;
 /// Both together, ticks.
 const STOP_TICKS: u64 = 140;
-/// What the drives get to settle once the setpoint rests, ticks: the shipped gains bring yaw in with 50 ms.
+/// What the drives get to settle once the setpoint rests, ticks: the shipped gains bring yaw in
+/// with 50 ms.
 const SETTLE_TICKS: u64 = 200;
 
 /// A driver that knows where it wants to go and how to stop on the way.

@@ -1,4 +1,5 @@
-//! Tests of wrist cameras: they go where the arm goes, and the pose that they report is the one of the picture.
+//! Tests of wrist cameras: they go where the arm goes, and the pose that they report is the one of
+//! the picture.
 
 use core::f64::consts::PI;
 
@@ -43,7 +44,8 @@ fn picture(simulation: &mut Simulation, camera: &str) -> CameraFrame {
     frame
 }
 
-/// Pixel index and depth of a point of the scene, by the lens and the pose that `frame` reports; none outside the image.
+/// Pixel index and depth of a point of the scene, by the lens and the pose that `frame` reports;
+/// none outside the image.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -60,8 +62,8 @@ fn project(frame: &CameraFrame, point_in_scene: &Point3<f64>) -> Option<(usize, 
     seen.then_some((y as usize * lens.width as usize + x as usize, p.z))
 }
 
-/// How many of the needle's points the picture shows where the reported pose says; all others must be hidden by the
-/// instrument or lie outside the image.
+/// How many of the needle's points the picture shows where the reported pose says; all others must
+/// be hidden by the instrument or lie outside the image.
 fn shown(frame: &CameraFrame, needle: &NeedleShape, needle_in_scene: &Pose) -> usize {
     let line = needle.centre_line(41);
     // The ends taper.

@@ -21,8 +21,9 @@ pub enum Mount {
     /// It stands still in the scene.
     #[default]
     Scene,
-    /// It goes where the instrument of [`CameraConfig::arm`] goes, all six joints. Its frame is the tip's: origin on the
-    /// wrist-yaw axis, z along the closed fingers, x along their hinge, the left finger at y > 0.
+    /// It goes where the instrument of [`CameraConfig::arm`] goes, all six joints. Its frame is the
+    /// tip's: origin on the wrist-yaw axis, z along the closed fingers, x along their hinge, the
+    /// left finger at y > 0.
     Wrist,
 }
 
@@ -32,8 +33,9 @@ const FOV_RAD_MAX: f64 = 0.9 * PI;
 /// Least and greatest focal length over the picture's width or height: 162 and 3 degrees of view.
 const FOCAL_SHARE: [f64; 2] = [0.08, 20.0];
 
-/// What the calibration of a pinhole gives, as OpenCV and ROS' `camera_info` have it: a ray through `x`, `y`, 1 in the camera frame falls on
-/// column `fx_px x + cx_px` and row `fy_px y + cy_px`, counted from 0 at the centre of the first pixel, which is 0.5 less than in [`Intrinsics`].
+/// What the calibration of a pinhole gives, as OpenCV and ROS' `camera_info` have it: a ray through
+/// `x`, `y`, 1 in the camera frame falls on column `fx_px x + cx_px` and row `fy_px y + cy_px`,
+/// counted from 0 at the centre of the first pixel, which is 0.5 less than in [`Intrinsics`].
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
@@ -70,27 +72,32 @@ pub struct CameraConfig {
     pub mount: Mount,
     /// The arm that carries a wrist camera, counted from 0; no other camera has one.
     pub arm: Option<usize>,
-    /// Whether it is the one that policies of a single camera see. Without any such camera it is the first.
+    /// Whether it is the one that policies of a single camera see. Without any such camera it is
+    /// the first.
     #[serde(default)]
     pub primary: bool,
     /// Image width, pixels.
     pub width: u32,
     /// Image height, pixels.
     pub height: u32,
-    /// Vertical field of view, rad, of square pixels around the middle. A camera has either this or a calibration.
+    /// Vertical field of view, rad, of square pixels around the middle. A camera has either this or
+    /// a calibration.
     pub vertical_fov_rad: Option<f64>,
     /// What a calibration gives instead: `intrinsics` in the file.
     #[serde(rename = "intrinsics")]
     pub calibration: Option<Calibration>,
-    /// Distortion of the lens, `k1`, `k2`, `p1`, `p2` of [`Distortion`]; none if not given. Field of view and calibration are those without.
+    /// Distortion of the lens, `k1`, `k2`, `p1`, `p2` of [`Distortion`]; none if not given. Field
+    /// of view and calibration are those without.
     #[serde(default)]
     pub distortion: [f64; 4],
-    /// Share of the light that the lens loses in the picture's corner, as [`Optics::vignette`] has it, 0 to 1; none if not given.
+    /// Share of the light that the lens loses in the picture's corner, as [`Optics::vignette`] has
+    /// it, 0 to 1; none if not given.
     #[serde(default)]
     pub vignette: f64,
     /// Where the lens is, in the frame of the mount, m.
     pub eye_m: [f64; 3],
-    /// The point on the lens' axis, in the middle of the image unless a calibration has the principal point elsewhere; in the frame of the mount, m.
+    /// The point on the lens' axis, in the middle of the image unless a calibration has the
+    /// principal point elsewhere; in the frame of the mount, m.
     pub target_m: [f64; 3],
     /// The direction that is up in the image, in the frame of the mount.
     pub up: [f64; 3],
@@ -119,7 +126,8 @@ impl CameraConfig {
         }
     }
 
-    /// Takes pictures of another size; a calibrated camera shows in them what it showed before, others keep their vertical field of view.
+    /// Takes pictures of another size; a calibrated camera shows in them what it showed before,
+    /// others keep their vertical field of view.
     pub fn resize(&mut self, width: u32, height: u32) {
         let shares = [(width, self.width), (height, self.height)]
             .map(|(now, before)| f64::from(now) / f64::from(before));
@@ -127,7 +135,8 @@ impl CameraConfig {
         (self.width, self.height) = (width, height);
     }
 
-    /// The right eye beside this camera, which is the left one: `baseline_m` to its right, with the same point in the middle.
+    /// The right eye beside this camera, which is the left one: `baseline_m` to its right, with the
+    /// same point in the middle.
     #[must_use]
     pub fn right_eye(&self, baseline_m: f64) -> Self {
         let [eye, target, up] = [self.eye_m, self.target_m, self.up].map(Vector3::from);
@@ -195,7 +204,8 @@ impl CameraConfig {
         }
     }
 
-    /// Either the field of view or the calibration must be there, and the principal point in the picture.
+    /// Either the field of view or the calibration must be there, and the principal point in the
+    /// picture.
     fn check_lens(&self, source: &Source, index: usize) -> Result<(), ConfigError> {
         let key = |name: &str| format!("camera.{index}.{name}");
         let fov = key("vertical_fov_rad");
@@ -239,7 +249,8 @@ impl CameraConfig {
             (lens.width, lens.fx, lens.cx),
             (lens.height, lens.fy, lens.cy),
         ];
-        // Beyond, the pinhole's image that the picture is made from, which has what it shows besides, would be too large.
+        // Beyond, the pinhole's image that the picture is made from, which has what it shows
+        // besides, would be too large.
         let reaches = |field: [[f64; 2]; 2]| {
             let mut both = field.iter().zip(sides);
             both.all(|([low, high], (size, focal, centre))| {

@@ -1,4 +1,5 @@
-//! What a task's judge looks for, in numbers: a table without memory of its own, for those who look on.
+//! What a task's judge looks for, in numbers: a table without memory of its own, for those who look
+//! on.
 
 /// Criteria of a task at most.
 pub const CRITERIA_MAX: usize = 8;

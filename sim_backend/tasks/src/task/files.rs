@@ -1,6 +1,7 @@
 //! A task's files: a folder with `scene.toml` and `safety.toml`, whose name is the task's.
 //!
-//! The folders of `config/tasks/` are built in, found by `build.rs`. Any other folder is a task as well, given its path.
+//! The folders of `config/tasks/` are built in, found by `build.rs`. Any other folder is a task as
+//! well, given its path.
 
 use std::path::{MAIN_SEPARATOR, Path};
 use std::sync::LazyLock;
@@ -17,7 +18,8 @@ pub const SCENE_FILE: &str = "scene.toml";
 /// The limits, in a task's folder.
 pub const SAFETY_FILE: &str = "safety.toml";
 
-/// Longest name of a task, bytes: it must find room in what processes tell each other, and in file names.
+/// Longest name of a task, bytes: it must find room in what processes tell each other, and in file
+/// names.
 const NAME_BYTES_MAX: usize = 64;
 
 /// A task that is built into the program.
@@ -79,7 +81,8 @@ pub enum TaskError {
         /// The path.
         path: String,
     },
-    /// The folder is called like a built-in task and is another one: results would be taken for that one's.
+    /// The folder is called like a built-in task and is another one: results would be taken for
+    /// that one's.
     #[error(
         "task {path}: {file} is not that of the built-in task of this name; a task of its own needs a folder of another name"
     )]
@@ -189,7 +192,8 @@ impl TaskFiles {
         }
     }
 
-    /// The file that is another one than that of the built-in task of the same name, if there is such a task.
+    /// The file that is another one than that of the built-in task of the same name, if there is
+    /// such a task.
     fn differs_from_built_in(&self) -> Option<&'static str> {
         let built_in = Self::built_in(&self.name)?;
         let pairs = [

@@ -269,7 +269,8 @@ pub(super) fn lasts(steps: &mut usize, is_so: bool) -> bool {
     *steps >= JUDGED_STEPS
 }
 
-/// Share of a limit below which a force must fall to count as let go of: at the limit itself one tick decides nothing.
+/// Share of a limit below which a force must fall to count as let go of: at the limit itself one
+/// tick decides nothing.
 const LET_GO: f64 = 0.8;
 
 /// How hard the ground may be pressed.
@@ -278,7 +279,8 @@ const LET_GO: f64 = 0.8;
 pub struct PressLimit {
     /// Force, N: instruments and what they press down together.
     pub force_n_max: f64,
-    /// How long it may be above that, s; it ends once the force falls below four fifths of the limit.
+    /// How long it may be above that, s; it ends once the force falls below four fifths of the
+    /// limit.
     pub seconds_max: f64,
 }
 
@@ -335,8 +337,8 @@ pub(super) struct Limits {
     pub(super) speed_m_s: f64,
     /// Force of one finger, N.
     pub(super) force_n: f64,
-    /// Energy that it may gain while no instrument touches it, J: what the ground's give returns. More is a fault of the
-    /// simulation.
+    /// Energy that it may gain while no instrument touches it, J: what the ground's give returns.
+    /// More is a fault of the simulation.
     pub(super) gain_j: f64,
 }
 
@@ -380,8 +382,8 @@ impl Safeguard {
         }
     }
 
-    /// How the episode ends, if it does, with one of the thing's points at `point`. `fallen` tells whether the thing has left its
-    /// ground, and is only asked of a pose that is finite.
+    /// How the episode ends, if it does, with one of the thing's points at `point`. `fallen` tells
+    /// whether the thing has left its ground, and is only asked of a pose that is finite.
     pub(super) fn end(
         &mut self,
         point: &Point3<f64>,
@@ -401,7 +403,8 @@ impl Safeguard {
     }
 }
 
-/// Whether a needle, the middle of whose arc is at `middle`, has fallen off `organ` or below its surface by more than `sink_m`.
+/// Whether a needle, the middle of whose arc is at `middle`, has fallen off `organ` or below its
+/// surface by more than `sink_m`.
 pub(super) fn is_off(organ: &Organ, middle: &Point3<f64>, sink_m: f64) -> bool {
     let height_m = middle.z - organ.height_m(middle.x, middle.y);
     !organ.covers(middle.x, middle.y) || height_m < -sink_m
@@ -430,8 +433,8 @@ impl DwellTimer {
     }
 }
 
-/// The checks that every handled thing passes. Crushing and throwing lose the episode; penetration, energy gain and what
-/// is not finite make it invalid.
+/// The checks that every handled thing passes. Crushing and throwing lose the episode; penetration,
+/// energy gain and what is not finite make it invalid.
 #[derive(Clone, Debug)]
 pub(super) struct FailureMonitor {
     thing: &'static str,
@@ -522,7 +525,8 @@ mod tests {
         seconds_max: 0.5,
     };
 
-    /// Shows each force for its number of steps; gives the step at which the press had lasted too long.
+    /// Shows each force for its number of steps; gives the step at which the press had lasted too
+    /// long.
     fn pressed(parts: &[(f64, usize)]) -> Option<usize> {
         let task = TaskConfig::shipped("needle-lift");
         let mut sight =

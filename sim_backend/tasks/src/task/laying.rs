@@ -17,7 +17,8 @@ const LAID_MAX: usize = 20;
 /// Episodes of which one must begin at rest on a patient.
 const EPISODES: u64 = 3;
 
-/// The world of the episode `seed` after things have come to rest: what slides over a patient's organ is laid elsewhere.
+/// The world of the episode `seed` after things have come to rest: what slides over a patient's
+/// organ is laid elsewhere.
 pub(crate) fn settled(task: &TaskConfig, scene: &dyn TaskScene, seed: u64) -> World {
     let scenery = |place| scene.scenery(place);
     if scene.patient().is_some() {
@@ -27,7 +28,8 @@ pub(crate) fn settled(task: &TaskConfig, scene: &dyn TaskScene, seed: u64) -> Wo
     }
 }
 
-/// Whether the things of `scenery` come to rest on a patient's organ in one of the first episodes at least.
+/// Whether the things of `scenery` come to rest on a patient's organ in one of the first episodes
+/// at least.
 pub(super) fn rests(
     config: &WorldConfig,
     arms: &[ArmStart],
@@ -36,7 +38,8 @@ pub(super) fn rests(
     (0..EPISODES).any(|seed| !slides(&laid(config, arms, &scenery, seed)))
 }
 
-/// The world in which things are at rest on a patient's organ, at the first of some places where they are.
+/// The world in which things are at rest on a patient's organ, at the first of some places where
+/// they are.
 fn laid(
     config: &WorldConfig,
     arms: &[ArmStart],

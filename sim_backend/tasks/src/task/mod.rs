@@ -1,13 +1,15 @@
 //! Tasks as data: who stands where, what lies there, who looks, and what counts as success.
 //!
-//! **A task** is a folder with `scene.toml` and `safety.toml`, and its name is the folder's. Adding one touches that folder
-//! and nothing else, no line of code and no list: those in `config/tasks/` are built in, any other folder is a task as well,
-//! given its path. What a scene file describes is said by its `task.kind`.
+//! **A task** is a folder with `scene.toml` and `safety.toml`, and its name is the folder's. Adding
+//! one touches that folder and nothing else, no line of code and no list: those in `config/tasks/`
+//! are built in, any other folder is a task as well, given its path. What a scene file describes is
+//! said by its `task.kind`.
 //!
-//! **A kind of scene** is a folder here: its scene and what is drawn at random, its monitor, its expert's script, the parts
-//! that it alone shows, and the tests of all that. Adding one touches that folder and two lines of this file, the module's
-//! and the one in `KINDS`; and a folder of the first sort, whose task has that kind. Everything else sees kinds through
-//! `TaskScene` and tasks through [`TaskConfig`].
+//! **A kind of scene** is a folder here: its scene and what is drawn at random, its monitor, its
+//! expert's script, the parts that it alone shows, and the tests of all that. Adding one touches
+//! that folder and two lines of this file, the module's and the one in `KINDS`; and a folder of the
+//! first sort, whose task has that kind. Everything else sees kinds through `TaskScene` and tasks
+//! through [`TaskConfig`].
 
 pub mod block_transfer;
 mod camera;
@@ -97,7 +99,8 @@ pub struct TaskConfig {
     pub view: View,
     /// What is drawn anew for each episode; see [`Self::with_variations`].
     pub varied: Vec<Variation>,
-    /// The needles that [`Variation::Needles`] draws from: those of the scene that come to rest on its ground.
+    /// The needles that [`Variation::Needles`] draws from: those of the scene that come to rest on
+    /// its ground.
     pub(crate) needles_drawn: Vec<String>,
     /// How much work goes into pictures.
     pub shading: Shading,
@@ -157,8 +160,9 @@ pub(crate) trait TaskScene: Any + CloneScene + Debug + Send + Sync {
     /// Where the visuals are, in the same order, in the scene frame.
     fn visual_poses(&self, things: &[Pose], goal: &Pose) -> Vec<Pose>;
 
-    /// The soft flap, if there is one, with the radius of its mark, m. Its visuals are those with the instance ids
-    /// [`trocar_render::visual::instance::TISSUE`] and [`trocar_render::visual::instance::MARK`].
+    /// The soft flap, if there is one, with the radius of its mark, m. Its visuals are those with
+    /// the instance ids [`trocar_render::visual::instance::TISSUE`] and
+    /// [`trocar_render::visual::instance::MARK`].
     fn flap(&self) -> Option<(&TissueConfig, f64)> {
         None
     }
@@ -266,8 +270,8 @@ impl TaskConfig {
         self.scene.patient().map(|patient| &patient.lie)
     }
 
-    /// The same task with another needle, by the name that the scene file gives it. On a patient it must lie and come to rest on the patch
-    /// that was chosen for the scene's own.
+    /// The same task with another needle, by the name that the scene file gives it. On a patient it
+    /// must lie and come to rest on the patch that was chosen for the scene's own.
     ///
     /// # Errors
     /// [`NeedleError`], also for a task that has no choice of needles.
@@ -290,7 +294,8 @@ impl TaskConfig {
         })
     }
 
-    /// The names of those needles of the scene that lie and come to rest on its ground, if there is a choice.
+    /// The names of those needles of the scene that lie and come to rest on its ground, if there is
+    /// a choice.
     fn resting_needles(&self) -> Vec<String> {
         let rests = |name: &String| {
             let mut scene = self.scene.clone();
@@ -301,7 +306,8 @@ impl TaskConfig {
         needles
     }
 
-    /// Whether what starts in `scene` lies on its ground and comes to rest; made-up ground is so flat that it does.
+    /// Whether what starts in `scene` lies on its ground and comes to rest; made-up ground is so
+    /// flat that it does.
     fn rests(&self, scene: &dyn TaskScene) -> bool {
         scene.patient().is_none()
             || (scene.lies() && laying::rests(&self.world, &self.arms, |seed| scene.scenery(seed)))

@@ -31,10 +31,11 @@ const DROP_M: f64 = 0.000_1;
 
 /// Places that are tried on a measured organ.
 const PLACES_MAX: usize = 1000;
-/// Cosine of the greatest slope that a needle is laid on there: 20 degrees, where friction still holds it.
+/// Cosine of the greatest slope that a needle is laid on there: 20 degrees, where friction still
+/// holds it.
 const LEVEL_MIN: f64 = 0.94;
-/// Lowest place of its wire there, scene frame, m: fingers reach half a millimetre below a wire, and no lower than -3.5 mm, since the
-/// workspaces of the tasks end at -5 mm.
+/// Lowest place of its wire there, scene frame, m: fingers reach half a millimetre below a wire,
+/// and no lower than -3.5 mm, since the workspaces of the tasks end at -5 mm.
 const LOW_M: f64 = -0.002;
 /// Greatest height of its wire above the organ there, m: more of it would hang over an edge.
 const GAP_M_MAX: f64 = 0.004;
@@ -51,7 +52,8 @@ impl NeedleStart {
         }
     }
 
-    /// `first` or the next place at which the needle lies on a measured organ, within reach; none if there seems to be none.
+    /// `first` or the next place at which the needle lies on a measured organ, within reach; none
+    /// if there seems to be none.
     fn sample(
         &self,
         rng: &mut Rng,
@@ -146,7 +148,8 @@ fn lies_well(pose: &Pose, needle: &NeedleShape, organ: &Organ) -> bool {
         })
 }
 
-/// The pose in which a needle centred over `x` and `y` lies along the organ's slope without touching it.
+/// The pose in which a needle centred over `x` and `y` lies along the organ's slope without
+/// touching it.
 fn flat_on(organ: &Organ, needle: &NeedleShape, x: f64, y: f64, yaw: f64) -> Pose {
     let normal = organ.normal(x, y).into_inner();
     let ahead = Vector3::new(yaw.cos(), yaw.sin(), 0.0);
@@ -188,7 +191,8 @@ mod tests {
                 .iter()
                 .map(|middle| (middle[axis] - centre) / range)
                 .collect();
-            // The slope of the organ moves the middle of a tilted needle by a few tenths of a millimetre.
+            // The slope of the organ moves the middle of a tilted needle by a few tenths of a
+            // millimetre.
             assert!(
                 shares.iter().all(|share| share.abs() < 1.06),
                 "axis {axis} leaves its range"

@@ -81,7 +81,8 @@ fn shading_is_full_unless_the_scene_says_plain() {
     );
 }
 
-/// That the scene with `new` in place of the line that begins with `old` is refused with that line and `key`.
+/// That the scene with `new` in place of the line that begins with `old` is refused with that line
+/// and `key`.
 fn is_refused_by_line(old: &str, new: &str, key: &str) {
     let (source, line) = doctored(old, new);
     let message = TaskConfig::parse("mine", &source).unwrap_err().to_string();
@@ -169,7 +170,8 @@ fn camera_that_cannot_be_is_named_with_line_and_key() {
     }
 }
 
-/// OpenCV's formula, whose columns and rows count from the centre of the first pixel; and the same lens in smaller pictures.
+/// OpenCV's formula, whose columns and rows count from the centre of the first pixel; and the same
+/// lens in smaller pictures.
 #[test]
 fn calibrated_camera_projects_as_opencv_does() {
     let lens = "intrinsics = { fx_px = 610.5, fy_px = 598.25, cx_px = 240.75, cy_px = 270.5 }\n\
@@ -291,12 +293,14 @@ fn needles_can_be_chosen_by_name() {
     assert!(pad.with_needle("N1").is_err());
 }
 
-/// The kind without a rigid thing, which the checks below leave out. Its flap has tests of its own: crushing and sinking
-/// in through reports in `tissue/tests/retraction.rs`, crushing through the simulation in
-/// `task/tissue_retraction/script/tests.rs`; why it has no energy check is said in `tissue/retraction.rs`.
+/// The kind without a rigid thing, which the checks below leave out. Its flap has tests of its own:
+/// crushing and sinking in through reports in `tissue/tests/retraction.rs`, crushing through the
+/// simulation in `task/tissue_retraction/script/tests.rs`; why it has no energy check is said in
+/// `tissue/retraction.rs`.
 const FLAP: &str = "tissue-retraction";
 
-/// What a judge of the task `name` says of a thing that lies where it starts while every finger and its energy are as given.
+/// What a judge of the task `name` says of a thing that lies where it starts while every finger and
+/// its energy are as given.
 fn judged(
     name: &str,
     force_n: f64,

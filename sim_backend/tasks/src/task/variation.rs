@@ -1,4 +1,5 @@
-//! What is drawn anew for each episode beyond the places of things: the needle, the cameras' places, light and colours, lenses.
+//! What is drawn anew for each episode beyond the places of things: the needle, the cameras'
+//! places, light and colours, lenses.
 
 mod lens;
 
@@ -18,7 +19,8 @@ pub use lens::Lens;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Variation {
-    /// The needle is one of those of the scene file that come to rest on the ground, each as likely.
+    /// The needle is one of those of the scene file that come to rest on the ground, each as
+    /// likely.
     Needles,
     /// Cameras stand as in [`View::View1`].
     Views,
@@ -117,8 +119,8 @@ const GUIDE_TURN_RAD: f64 = 0.12;
 const INTENSITY_FACTOR: f64 = 1.6;
 /// The same of the light from all around.
 const AMBIENT_FACTOR: f64 = 1.6;
-/// Greatest warmth either way: by this share red is raised and blue lowered. 0.2 is about 5100 K, -0.2 about 9000 K, where the
-/// file's light counts as 6500 K.
+/// Greatest warmth either way: by this share red is raised and blue lowered. 0.2 is about 5100 K,
+/// -0.2 about 9000 K, where the file's light counts as 6500 K.
 const WARMTH: f64 = 0.2;
 /// Greatest factor of a surface's colour, one for all three channels, and one over the least.
 const BRIGHTNESS_FACTOR: f64 = 1.25;
@@ -199,8 +201,8 @@ pub struct Drawn {
     /// The needle, if that is varied.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub needle: Option<String>,
-    /// By how much the standing cameras are moved, if they are: place (m) and quaternion x, y, z, w of each in its frame of the
-    /// scene file.
+    /// By how much the standing cameras are moved, if they are: place (m) and quaternion x, y, z, w
+    /// of each in its frame of the scene file.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub cameras: BTreeMap<String, [f64; 7]>,
     /// Light and colours, if they are varied.
@@ -212,11 +214,12 @@ pub struct Drawn {
 }
 
 impl TaskConfig {
-    /// The same task, in which `variations` are drawn anew for each episode; single effects of lenses go without saying beside
-    /// [`Variation::Lens`].
+    /// The same task, in which `variations` are drawn anew for each episode; single effects of
+    /// lenses go without saying beside [`Variation::Lens`].
     ///
     /// # Errors
-    /// [`CannotVary`] for needles of a task that has one only, and for views of one that is not seen from [`View::Train`].
+    /// [`CannotVary`] for needles of a task that has one only, and for views of one that is not
+    /// seen from [`View::Train`].
     pub fn with_variations(mut self, variations: &[Variation]) -> Result<Self, CannotVary> {
         let can = |task: &Self, variation| match variation {
             Variation::Needles => task.scene.needles().len() > 1,

@@ -9,22 +9,26 @@ use trocar_world::rng::Rng;
 use super::TaskConfig;
 use super::camera::{CameraConfig, ENDOSCOPE, Mount, SIDE};
 
-/// How far [`View::View1`] moves a camera along each of its axes at most, m (Moghani et al., "SuFIA-BC", 2025).
+/// How far [`View::View1`] moves a camera along each of its axes at most, m (Moghani et al.,
+/// "SuFIA-BC", 2025).
 pub const VIEW1_SHIFT_M: f64 = 0.01;
 
 /// How far it turns one about each of its axes at most, rad (same source).
 pub const VIEW1_TURN_RAD: f64 = 5.0 * PI / 180.0;
 
-/// How the cameras stand against where the scene file has them. Wrist cameras stay as they are in every view.
+/// How the cameras stand against where the scene file has them. Wrist cameras stay as they are in
+/// every view.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum View {
     /// As in the file.
     #[default]
     Train,
-    /// Each camera shifted along and turned about its own axes, each by a number that is uniform within
-    /// [`VIEW1_SHIFT_M`] and [`VIEW1_TURN_RAD`] and depends on the episode's seed and the camera's name.
+    /// Each camera shifted along and turned about its own axes, each by a number that is uniform
+    /// within [`VIEW1_SHIFT_M`] and [`VIEW1_TURN_RAD`] and depends on the episode's seed and the
+    /// camera's name.
     View1,
-    /// Endoscope and side camera swapped: each has the place and the lens of the other, and keeps its name.
+    /// Endoscope and side camera swapped: each has the place and the lens of the other, and keeps
+    /// its name.
     View2,
 }
 
@@ -86,7 +90,8 @@ impl TaskConfig {
         Ok(self)
     }
 
-    /// The index of the camera with the light guide: the one at the place of the endoscope, or the first of a task that has none.
+    /// The index of the camera with the light guide: the one at the place of the endoscope, or the
+    /// first of a task that has none.
     pub(crate) fn light_camera(&self) -> usize {
         let there = match self.view {
             View::Train | View::View1 => ENDOSCOPE,

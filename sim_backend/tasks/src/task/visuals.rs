@@ -111,7 +111,8 @@ fn arm_visuals([shaft_id, wrist_id, jaw_id]: [u8; 3]) -> [Visual; 4] {
     ]
 }
 
-/// The wrist's joint frame points along x and turns about z; its mesh points along z and turns about y.
+/// The wrist's joint frame points along x and turns about z; its mesh points along z and turns
+/// about y.
 fn drawn_from_joint() -> Pose {
     let columns = Matrix3::from_columns(&[Vector3::y(), Vector3::z(), Vector3::x()]);
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(columns));

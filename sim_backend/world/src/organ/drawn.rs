@@ -54,8 +54,8 @@ const RIM_TURN_RAD: f64 = 1.65;
 const FLANK_M: f64 = 0.030;
 
 impl OrganShape {
-    /// The patch in the scene frame, its border rounded off. Inside of the rim, nearly everywhere, it is the surface of
-    /// [`OrganShape::height_m`].
+    /// The patch in the scene frame, its border rounded off. Inside of the rim, nearly everywhere,
+    /// it is the surface of [`OrganShape::height_m`].
     #[must_use]
     pub fn mesh(&self) -> Mesh {
         self.drawn(&SLAB)
@@ -93,7 +93,8 @@ impl OrganShape {
         mesh
     }
 
-    /// One ring beyond the border; `turn` makes offset and normal of the directions outwards and up.
+    /// One ring beyond the border; `turn` makes offset and normal of the directions outwards and
+    /// up.
     fn push_rim(
         &self,
         mesh: &mut Mesh,

@@ -1,4 +1,5 @@
-//! The cable coupling between the instrument's discs and its joints; yaw, pitch and insertion drive their joints directly.
+//! The cable coupling between the instrument's discs and its joints; yaw, pitch and insertion drive
+//! their joints directly.
 
 use hal::JOINT_COUNT;
 use hal::psm::COUPLING;
@@ -18,7 +19,8 @@ pub fn joint_positions(actuator: &AxisVector) -> AxisVector {
     with_tool(actuator, COUPLING.map(row))
 }
 
-/// Actuator positions (rates) that belong to joint positions (rates): the inverse of [`joint_positions`].
+/// Actuator positions (rates) that belong to joint positions (rates): the inverse of
+/// [`joint_positions`].
 #[must_use]
 pub fn actuator_positions(joint: &AxisVector) -> AxisVector {
     let [roll, pitch, yaw, jaw] = COUPLING;

@@ -20,14 +20,16 @@ const STOP_DAMPING: AxisVector = [20.0, 20.0, 200.0, 0.05, 0.05, 0.05, 0.05];
 pub struct Load {
     /// Joint efforts, jaw last, N m (N).
     pub efforts: AxisVector,
-    /// Damping of what the fingers squeeze, N m s/rad: takes from a positive jaw effort, never pulls.
+    /// Damping of what the fingers squeeze, N m s/rad: takes from a positive jaw effort, never
+    /// pulls.
     pub squeeze_damping: f64,
 }
 
 /// Set-points of seven drives that are commanded one by one, as drives on a bus are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveSetpoint {
-    /// Whether an axis is an actuator; otherwise it is a joint, jaw last, and its drive works through the coupling.
+    /// Whether an axis is an actuator; otherwise it is a joint, jaw last, and its drive works
+    /// through the coupling.
     pub actuators: bool,
     /// Where each axis should be, rad (m).
     pub position: AxisVector,
@@ -147,8 +149,8 @@ impl Plant {
         joint_positions(&self.velocity)
     }
 
-    /// What the encoders and current sensors say: positions in whole counts, velocities as the drive firmware
-    /// estimates them, efforts of the motors in joint space.
+    /// What the encoders and current sensors say: positions in whole counts, velocities as the
+    /// drive firmware estimates them, efforts of the motors in joint space.
     #[must_use]
     pub fn measured(&self, stamp: TimeNs) -> ArmState {
         let position = joint_positions(&counted(&self.position));
@@ -165,7 +167,8 @@ impl Plant {
         }
     }
 
-    /// Effort of the motors on the jaw, N m: negative while they close it. The cables' friction takes its part of it.
+    /// Effort of the motors on the jaw, N m: negative while they close it. The cables' friction
+    /// takes its part of it.
     #[must_use]
     pub fn jaw_effort(&self) -> f64 {
         joint_efforts(&self.effort)[JOINT_COUNT]
@@ -192,7 +195,8 @@ impl Plant {
             )
     }
 
-    /// Position and velocity setpoints in joint space, jaw last, and whether the drives are enabled.
+    /// Position and velocity setpoints in joint space, jaw last, and whether the drives are
+    /// enabled.
     #[must_use]
     pub fn setpoint(&self) -> (AxisVector, AxisVector, bool) {
         (
@@ -236,8 +240,8 @@ impl Plant {
         outside
     }
 
-    /// Begins a sub-step of `step_s`: lets the joint controllers work, and says where that leads but for dry friction and
-    /// contacts.
+    /// Begins a sub-step of `step_s`: lets the joint controllers work, and says where that leads
+    /// but for dry friction and contacts.
     pub(crate) fn begin(&mut self, load: &Load, step_s: f64) -> FreeDrives {
         self.effort = if self.enabled {
             self.controller()
@@ -266,7 +270,8 @@ impl Plant {
         }
     }
 
-    /// Actuator efforts of the shipped PD law, first within the joints' limits, then within the motors' currents.
+    /// Actuator efforts of the shipped PD law, first within the joints' limits, then within the
+    /// motors' currents.
     fn controller(&self) -> AxisVector {
         let measured = counted(&self.position);
         let wanted: AxisVector = core::array::from_fn(|axis| {

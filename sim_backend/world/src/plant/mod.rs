@@ -1,4 +1,5 @@
-//! The seven drives of the arm at actuator level: motors, gears, encoders, joint controllers and friction.
+//! The seven drives of the arm at actuator level: motors, gears, encoders, joint controllers and
+//! friction.
 
 mod config;
 mod coupling;

@@ -1,5 +1,5 @@
-//! Hot path: bounded, no allocation, no I/O, no lock.
-//! The contact of a sheet with the ground below it, and how friction goes on from one sub-step to the next.
+//! Hot path: bounded, no allocation, no I/O, no lock. The contact of a sheet with the ground below
+//! it, and how friction goes on from one sub-step to the next.
 
 use nalgebra::Vector3;
 
@@ -31,7 +31,8 @@ pub(super) struct Bed {
 /// Nodes further above the ground than this cannot reach it within a millisecond, m.
 const REACH_M: f64 = 0.004;
 
-/// Depth from which on the pressure grows no more, m: what got below the ground somehow comes up without a shot.
+/// Depth from which on the pressure grows no more, m: what got below the ground somehow comes up
+/// without a shot.
 const DEPTH_M_MAX: f64 = 0.002;
 
 impl Bed {
@@ -138,11 +139,12 @@ impl Bed {
     }
 }
 
-/// The change of velocity by friction in one sub-step: what it was in the last one, `before`, and on top whatever stops
-/// the `sliding` that is left, together no more than `most`.
+/// The change of velocity by friction in one sub-step: what it was in the last one, `before`, and
+/// on top whatever stops the `sliding` that is left, together no more than `most`.
 ///
-/// Going on from the last sub-step is what lets two surfaces pull at one node, a finger above and the organ below, until
-/// the weaker one slips; starting from nothing, the one that is asked last would always win.
+/// Going on from the last sub-step is what lets two surfaces pull at one node, a finger above and
+/// the organ below, until the weaker one slips; starting from nothing, the one that is asked last
+/// would always win.
 #[inline]
 pub(super) fn held_back(
     before: &Vector3<f64>,

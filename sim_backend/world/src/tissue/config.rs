@@ -1,4 +1,5 @@
-//! Everything about the tissue that a file may say, and the check that the numbers are stable together.
+//! Everything about the tissue that a file may say, and the check that the numbers are stable
+//! together.
 
 use core::f64::consts::PI;
 
@@ -19,8 +20,9 @@ use super::surface::Surface;
 pub struct TissueConfig {
     /// Length of the attached edge and of the free edge opposite, m: the material's u axis.
     pub length_m: f64,
-    /// From the attached to the free edge, m, along the material's v axis. The grid goes on behind the attached edge for
-    /// half a cell: its first two rows of nodes are fixed, and the edge is half way between them.
+    /// From the attached to the free edge, m, along the material's v axis. The grid goes on behind
+    /// the attached edge for half a cell: its first two rows of nodes are fixed, and the edge is
+    /// half way between them.
     pub depth_m: f64,
     /// Cells along u and v. Elasticity needs none smaller than a few times the thickness.
     pub cells: [usize; 2],
@@ -54,14 +56,16 @@ pub struct MarkConfig {
     pub inset_m: f64,
 }
 
-/// Share of the stability limit of the sheet at rest that a sub-step may use: a sheet stretched by half as much again is
-/// 1.6 times as fast.
+/// Share of the stability limit of the sheet at rest that a sub-step may use: a sheet stretched by
+/// half as much again is 1.6 times as fast.
 const STRETCHED_SHARE: f64 = 0.62;
-/// Share of the stability limit of the contacts that a sub-step may use: the sheet bends beside them.
+/// Share of the stability limit of the contacts that a sub-step may use: the sheet bends beside
+/// them.
 const CONTACT_SHARE: f64 = 0.85;
 
 impl TissueConfig {
-    /// Checks the ranges of a tissue read from `source` at the dotted `key`, and that its sub-steps are short enough.
+    /// Checks the ranges of a tissue read from `source` at the dotted `key`, and that its sub-steps
+    /// are short enough.
     ///
     /// # Errors
     /// [`ConfigError::OutOfRange`].
@@ -85,7 +89,8 @@ impl TissueConfig {
         source.check_range(&of("substeps"), substeps, least, 64.0)
     }
 
-    /// Fewest sub-steps that are stable, with room for a stretched sheet and for the stiffness of its contacts.
+    /// Fewest sub-steps that are stable, with room for a stretched sheet and for the stiffness of
+    /// its contacts.
     #[must_use]
     pub fn substeps_min(&self) -> f64 {
         let elastic = self.sheet(&Pose::identity()).fastest_rad_s();
@@ -101,7 +106,8 @@ impl TissueConfig {
         (TICK_S / most_s).ceil()
     }
 
-    /// The sheet at rest in `pose`, its first two rows fixed: the attached edge keeps its place and its slope.
+    /// The sheet at rest in `pose`, its first two rows fixed: the attached edge keeps its place and
+    /// its slope.
     pub(super) fn sheet(&self, pose: &Pose) -> Sheet {
         let shape = SheetShape {
             size_m: [self.length_m, self.grid_depth_m()],

@@ -1,5 +1,5 @@
-//! Hot path: bounded, no allocation, no I/O, no lock.
-//! One part of the instrument pushing the sheet: pressure at samples, friction at nodes, and what the part feels.
+//! Hot path: bounded, no allocation, no I/O, no lock. One part of the instrument pushing the sheet:
+//! pressure at samples, friction at nodes, and what the part feels.
 
 use nalgebra::Vector3;
 
@@ -81,7 +81,8 @@ impl Part {
         self.solid = solid;
     }
 
-    /// Begins a millisecond in which the part moves to `pose`; the samples marked in `held` do not touch it.
+    /// Begins a millisecond in which the part moves to `pose`; the samples marked in `held` do not
+    /// touch it.
     pub(super) fn begin(
         &mut self,
         pose: &Pose,
@@ -171,7 +172,8 @@ impl Part {
         }
     }
 
-    /// Corrects the friction of the pressed nodes by as much of what still slides as it can take in `dt_s`.
+    /// Corrects the friction of the pressed nodes by as much of what still slides as it can take in
+    /// `dt_s`.
     pub(super) fn rub(&mut self, sheet: &mut Sheet, share: f64, dt_s: f64, centre: &Vector3<f64>) {
         core::mem::swap(&mut self.touched, &mut self.touched_before);
         self.touched.clear();

@@ -17,9 +17,10 @@ use super::sheet::Sheet;
 
 /// A flap of tissue over an organ, with the jaws that may touch it.
 ///
-/// Equal inputs give equal bits. Numbers cannot leave their range: a node faster than half a cell a sub-step is slowed
-/// to that (counted in the report), and if an input or the state is ever not finite or further than a metre away, the
-/// flap stays for good where it last was, feels nothing, and says so ([`TissueReport::fault`]).
+/// Equal inputs give equal bits. Numbers cannot leave their range: a node faster than half a cell a
+/// sub-step is slowed to that (counted in the report), and if an input or the state is ever not
+/// finite or further than a metre away, the flap stays for good where it last was, feels nothing,
+/// and says so ([`TissueReport::fault`]).
 #[derive(Clone, Debug)]
 pub struct Tissue {
     pub(super) sheet: Sheet,
@@ -35,7 +36,8 @@ pub struct Tissue {
     report: TissueReport,
 }
 
-/// Milliseconds for which a new flap settles on its organ before the episode begins, heavily damped.
+/// Milliseconds for which a new flap settles on its organ before the episode begins, heavily
+/// damped.
 const SETTLE_STEPS: usize = 1000;
 /// Damping while it settles, 1/s.
 const SETTLE_DRAG_PER_S: f64 = 25.0;
@@ -43,8 +45,8 @@ const SETTLE_DRAG_PER_S: f64 = 25.0;
 const RANGE_M: f64 = 1.0;
 
 impl Tissue {
-    /// A flap that lies at rest on `ground`, with a mark drawn by `seed`, and one jaw for each of `jaws`, which must not
-    /// touch it yet.
+    /// A flap that lies at rest on `ground`, with a mark drawn by `seed`, and one jaw for each of
+    /// `jaws`, which must not touch it yet.
     #[must_use]
     pub fn new(config: &TissueConfig, ground: Ground, seed: u64, jaws: &[JawInput]) -> Self {
         let mut sheet = config.sheet(&config.scene_from_material());
@@ -92,7 +94,8 @@ impl Tissue {
         };
     }
 
-    /// Advances one millisecond, in which every jaw moves to where `inputs` says; a jaw without an input stays.
+    /// Advances one millisecond, in which every jaw moves to where `inputs` says; a jaw without an
+    /// input stays.
     ///
     /// A jaw may grasp or let go at the end of the millisecond.
     pub fn step(&mut self, inputs: &[JawInput]) {
@@ -247,7 +250,8 @@ impl Tissue {
         self.mark_m
     }
 
-    /// The mark in the scene: on the upper face, x along the material's u axis (the free edge), z out of the tissue.
+    /// The mark in the scene: on the upper face, x along the material's u axis (the free edge), z
+    /// out of the tissue.
     #[must_use]
     pub fn mark_in_scene(&self) -> Pose {
         let [u, v] = self.mark.tangents(&self.sheet.positions);

@@ -1,8 +1,10 @@
-//! Grasping by area: which material lies between the pads, what holds it there, and when it lets go.
+//! Grasping by area: which material lies between the pads, what holds it there, and when it lets
+//! go.
 //!
-//! Both fingers must press on the tissue while the drive closes them; then the samples between the pads are tied to the
-//! frame between the fingers, each by a spring as stiff as its share of the area. The sum of those springs is what the
-//! jaw feels. Above the break force they all let go, and the jaw must open before it can grasp again.
+//! Both fingers must press on the tissue while the drive closes them; then the samples between the
+//! pads are tied to the frame between the fingers, each by a spring as stiff as its share of the
+//! area. The sum of those springs is what the jaw feels. Above the break force they all let go, and
+//! the jaw must open before it can grasp again.
 
 use hal::Pose;
 use hal::config::{ConfigError, Source};
@@ -24,7 +26,8 @@ pub struct GraspConfig {
     pub press_n_min: f64,
     /// Least area between the pads, m².
     pub area_m2_min: f64,
-    /// Widest gap between the pads at which they bite, m: two layers of tissue, since a fold may lie between them.
+    /// Widest gap between the pads at which they bite, m: two layers of tissue, since a fold may
+    /// lie between them.
     pub gap_m_max: f64,
     /// How deep the teeth at the ends of the fingers draw in tissue, beyond the end, m.
     pub bite_m: f64,
@@ -176,8 +179,9 @@ impl Hold {
         }
     }
 
-    /// Lets the pull act on the velocities for `dt_s`, implicitly and so without a bound on its stiffness: every held
-    /// node answers as if its neighbours moved with it, which for a patch that moves as one is exact.
+    /// Lets the pull act on the velocities for `dt_s`, implicitly and so without a bound on its
+    /// stiffness: every held node answers as if its neighbours moved with it, which for a patch
+    /// that moves as one is exact.
     pub(super) fn act(&mut self, sheet: &mut Sheet, dt_s: f64, centre: &Vector3<f64>) {
         for &node in &self.nodes {
             let mass = sheet.masses[node];
@@ -200,8 +204,8 @@ impl Hold {
         self.felt.scaled(substeps.recip())
     }
 
-    /// Decides at the end of a millisecond: grasp, go on holding, or let go; `pressed_n` is what the fingers press on
-    /// the tissue, `pulled_n` what the patch pulls.
+    /// Decides at the end of a millisecond: grasp, go on holding, or let go; `pressed_n` is what
+    /// the fingers press on the tissue, `pulled_n` what the patch pulls.
     pub(super) fn decide(
         &mut self,
         jaw: &JawInput,
@@ -287,8 +291,8 @@ impl Hold {
         self.armed = false;
     }
 
-    /// Force with which the held tissue pushes each pad back, N. The thinner the pads leave it the stiffer it gets: Young's
-    /// modulus times `s / (1 - s)` at the compression `s`.
+    /// Force with which the held tissue pushes each pad back, N. The thinner the pads leave it the
+    /// stiffer it gets: Young's modulus times `s / (1 - s)` at the compression `s`.
     pub(super) fn squeeze_n(&self, jaw: &JawInput, sheet: &Sheet) -> f64 {
         let material = &sheet.material;
         let sum: f64 = self

@@ -38,7 +38,8 @@ impl ContactParameters {
     }
 }
 
-/// A rectangle of heights over the scene's xy-plane, which may have holes; beyond its rim there is nothing to rest on.
+/// A rectangle of heights over the scene's xy-plane, which may have holes; beyond its rim there is
+/// nothing to rest on.
 #[derive(Clone, Debug)]
 pub struct Ground {
     low_m: [f64; 2],
@@ -63,9 +64,9 @@ const SKIRT_M: f64 = 0.015;
 const SPACING_M: f64 = 0.000_5;
 
 impl Ground {
-    /// The surface `height_m(x, y)` over the rectangle from `low_m` to `high_m`, which is round at its rim: it falls off
-    /// over a further `rim_m` on all sides and then goes down steeply for 3 cm. (An edge would be a step in the height,
-    /// which hands energy to what slides over it.)
+    /// The surface `height_m(x, y)` over the rectangle from `low_m` to `high_m`, which is round at
+    /// its rim: it falls off over a further `rim_m` on all sides and then goes down steeply for 3
+    /// cm. (An edge would be a step in the height, which hands energy to what slides over it.)
     #[must_use]
     pub fn sampled(
         low_m: [f64; 2],
@@ -108,7 +109,8 @@ impl Ground {
         }
     }
 
-    /// A surface as a table: heights at `points` (x and y) from `low_m` on, `spacing_m` apart, x first; NaN where there is none.
+    /// A surface as a table: heights at `points` (x and y) from `low_m` on, `spacing_m` apart, x
+    /// first; NaN where there is none.
     ///
     /// # Panics
     /// If there are not as many heights as points.
@@ -153,7 +155,8 @@ impl Ground {
         self.plane(x, y).map(|plane| plane.normal)
     }
 
-    /// The rectangle over which there is a surface: its lowest and its highest corner, scene x and y, m.
+    /// The rectangle over which there is a surface: its lowest and its highest corner, scene x and
+    /// y, m.
     #[must_use]
     pub fn extent_m(&self) -> [[f64; 2]; 2] {
         let far = [0, 1].map(|axis| {
@@ -202,7 +205,8 @@ impl Ground {
     }
 }
 
-/// How far a rim of radius `rim_m` falls, `beyond_m` from where it begins: a circle down to a steep slope.
+/// How far a rim of radius `rim_m` falls, `beyond_m` from where it begins: a circle down to a steep
+/// slope.
 fn fall_m(beyond_m: f64, rim_m: f64) -> f64 {
     let round_m = beyond_m.min(STEEP * rim_m);
     let circle_m = rim_m - (rim_m * rim_m - round_m * round_m).sqrt();

@@ -101,8 +101,8 @@ impl Jaw {
     }
 }
 
-/// What squeezed tissue does to the first finger of a jaw around `middle`: a force along y at the pads' middle. The
-/// second finger feels the opposite, so that nothing is left of it on the whole.
+/// What squeezed tissue does to the first finger of a jaw around `middle`: a force along y at the
+/// pads' middle. The second finger feels the opposite, so that nothing is left of it on the whole.
 fn squeeze(middle: &Pose, force_n: f64) -> Wrench {
     let mut wrench = Wrench::zero();
     let lever = middle.rotation * Vector3::new(0.0, 0.0, PAD_MIDDLE_M);

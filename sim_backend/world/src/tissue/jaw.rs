@@ -1,4 +1,5 @@
-//! The instrument as the tissue meets it: two fingers and a wrist, where they go in a millisecond, what they feel.
+//! The instrument as the tissue meets it: two fingers and a wrist, where they go in a millisecond,
+//! what they feel.
 
 use hal::Pose;
 use hal::psm::FINGER_M;
@@ -18,12 +19,13 @@ const WRIST_RADIUS_M: f64 = 0.0025;
 /// One instrument at the end of a millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JawInput {
-    /// The fingers in the scene: origin on the hinge, hinge along x, z towards the end, the inner face in the xz-plane;
-    /// the first finger's body is at y > 0, the second's at y < 0.
+    /// The fingers in the scene: origin on the hinge, hinge along x, z towards the end, the inner
+    /// face in the xz-plane; the first finger's body is at y > 0, the second's at y < 0.
     pub fingers: [Pose; 2],
     /// Ends of the wrist in the scene: on the wrist-pitch and on the wrist-yaw axis (the hinge), m.
     pub wrist: [Point3<f64>; 2],
-    /// Force with which the drive presses each finger on the other, at the middle of its pad, N; 0 while it opens.
+    /// Force with which the drive presses each finger on the other, at the middle of its pad, N; 0
+    /// while it opens.
     pub grip_n: f64,
 }
 
@@ -126,8 +128,8 @@ impl Solid {
         }
     }
 
-    /// The same finger while the jaw is shut: it reaches through to the outer face of the other one, so that tissue in
-    /// front of the jaw meets no seam to be drawn into.
+    /// The same finger while the jaw is shut: it reaches through to the outer face of the other
+    /// one, so that tissue in front of the jaw meets no seam to be drawn into.
     pub(super) fn shut_finger() -> Self {
         Self::Block {
             centre: Vector3::new(0.0, 0.0, 0.5 * FINGER_M),
@@ -153,7 +155,8 @@ impl Solid {
         }
     }
 
-    /// Distance of `point` from the surface, negative inside, and the direction out of the solid, in its frame.
+    /// Distance of `point` from the surface, negative inside, and the direction out of the solid,
+    /// in its frame.
     #[inline]
     pub(super) fn distance_m(&self, point: &Vector3<f64>) -> (f64, Vector3<f64>) {
         match *self {
@@ -233,8 +236,8 @@ impl Motion {
     }
 }
 
-/// The rotation `share` of the way from one to another: linear and normalised, which needs no angles and is exact to a
-/// thousandth for the small turns of a millisecond.
+/// The rotation `share` of the way from one to another: linear and normalised, which needs no
+/// angles and is exact to a thousandth for the small turns of a millisecond.
 pub(super) fn between(
     from: &UnitQuaternion<f64>,
     to: &UnitQuaternion<f64>,

@@ -5,11 +5,13 @@ use nalgebra::Vector3;
 use super::bed::Bed;
 use super::sheet::Sheet;
 
-/// Slope of a sheet as it is laid down, at most; on a measured organ how much steeper it may get from one cell to the next.
+/// Slope of a sheet as it is laid down, at most; on a measured organ how much steeper it may get
+/// from one cell to the next.
 const GENTLE: f64 = 0.15;
 /// Rise or fall of a cell that is laid along an organ, as a share of its length, at most.
 const STEEP: f64 = 0.8;
-/// Rounds in which the end of a cell is found: on a slope of 0.3 each leaves a tenth of the error. The cell's length is right after each.
+/// Rounds in which the end of a cell is found: on a slope of 0.3 each leaves a tenth of the error.
+/// The cell's length is right after each.
 const ROUNDS: usize = 8;
 
 /// Lays a flat sheet down on its ground.
@@ -21,8 +23,8 @@ pub(super) fn lay(sheet: &mut Sheet, bed: &Bed) {
     }
 }
 
-/// Lays a sheet along an organ, beginning with its attached edge, every cell as long as at rest; where the organ falls away, the sheet stands
-/// out over it.
+/// Lays a sheet along an organ, beginning with its attached edge, every cell as long as at rest;
+/// where the organ falls away, the sheet stands out over it.
 fn lay_along(sheet: &mut Sheet, bed: &Bed) {
     let [columns, rows] = sheet.nodes;
     let way = |from: usize, to: usize| {
@@ -60,7 +62,8 @@ fn lay_along(sheet: &mut Sheet, bed: &Bed) {
     }
 }
 
-/// From a point of the ground to another one, as far away as `way` is long and in its direction, no lower than `fall` of that.
+/// From a point of the ground to another one, as far away as `way` is long and in its direction, no
+/// lower than `fall` of that.
 fn step(bed: &Bed, from: &Vector3<f64>, way: &Vector3<f64>, fall: f64) -> Vector3<f64> {
     let length_m = way.norm();
     let mut step = *way;
@@ -74,8 +77,9 @@ fn step(bed: &Bed, from: &Vector3<f64>, way: &Vector3<f64>, fall: f64) -> Vector
     step
 }
 
-/// Lays a flat sheet down: every node to where it touches the ground, but nowhere steeper than a gentle slope, so that it
-/// begins nearly unstretched and stands out over an organ's rim. Where there is no ground at all it lies level.
+/// Lays a flat sheet down: every node to where it touches the ground, but nowhere steeper than a
+/// gentle slope, so that it begins nearly unstretched and stands out over an organ's rim. Where
+/// there is no ground at all it lies level.
 fn lay_level(sheet: &mut Sheet, bed: &Bed) {
     let heights = sheet.positions.iter().map(|at| bed.height_m(at.x, at.y));
     let mut heights_m: Vec<f64> = heights.map(|height| height.unwrap_or(f64::MIN)).collect();

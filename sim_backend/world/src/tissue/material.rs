@@ -9,7 +9,8 @@ use serde::Deserialize;
 pub struct Material {
     /// Thickness, m.
     pub thickness_m: f64,
-    /// Young's modulus at small strain, Pa. Stretching stiffens the sheet as it does skin (Saint Venant-Kirchhoff).
+    /// Young's modulus at small strain, Pa. Stretching stiffens the sheet as it does skin (Saint
+    /// Venant-Kirchhoff).
     pub young_pa: f64,
     /// Poisson ratio.
     pub poisson: f64,
@@ -17,9 +18,11 @@ pub struct Material {
     pub density_kg_m3: f64,
     /// Inner damping (Kelvin-Voigt) as a time: the stress lags so far behind the strain, s.
     pub relaxation_s: f64,
-    /// Damping by what surrounds the sheet: the share of its momentum that it loses in a second, 1/s.
+    /// Damping by what surrounds the sheet: the share of its momentum that it loses in a second,
+    /// 1/s.
     pub drag_per_s: f64,
-    /// Stretch (0.5 is half as long again) at which the tissue counts as torn and its stress grows no further.
+    /// Stretch (0.5 is half as long again) at which the tissue counts as torn and its stress grows
+    /// no further.
     pub tear_strain: f64,
 }
 

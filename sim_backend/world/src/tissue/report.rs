@@ -15,15 +15,16 @@ pub struct Grasp {
     pub beside_mark_m: f64,
 }
 
-/// What one jaw felt of the tissue in a millisecond. Wrenches are on the instrument, in the scene's axes, about the
-/// hinge.
+/// What one jaw felt of the tissue in a millisecond. Wrenches are on the instrument, in the scene's
+/// axes, about the hinge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JawReport {
     /// On each finger.
     pub fingers: [Wrench; 2],
     /// On the wrist.
     pub wrist: Wrench,
-    /// Sums of the normal forces with which the fingers and the wrist press on tissue that they do not hold, N.
+    /// Sums of the normal forces with which the fingers and the wrist press on tissue that they do
+    /// not hold, N.
     pub pressed_n: [f64; 3],
     /// Force with which the tissue between the pads that it does hold pushes each of them back, N.
     pub squeezed_n: f64,
@@ -68,8 +69,8 @@ impl JawReport {
 pub struct TissueReport {
     /// The grasp, of the first jaw that has one.
     pub grasp: Option<Grasp>,
-    /// Largest force between one instrument as a whole and the tissue, N: what moves it. A pinch is not in it, since its
-    /// two sides cancel.
+    /// Largest force between one instrument as a whole and the tissue, N: what moves it. A pinch is
+    /// not in it, since its two sides cancel.
     pub force_n: f64,
     /// The same after a low pass at 50 Hz, N.
     pub smooth_force_n: f64,
@@ -79,7 +80,8 @@ pub struct TissueReport {
     pub smooth_squeeze_n: f64,
     /// Largest stretch of the tissue (0.1 is a tenth longer than at rest).
     pub stretch: f64,
-    /// Whether the stretch ever exceeded the tearing strain. The mesh does not open; the tissue there only yields.
+    /// Whether the stretch ever exceeded the tearing strain. The mesh does not open; the tissue
+    /// there only yields.
     pub torn: bool,
     /// How often the tissue has slipped out of a jaw because it pulled too hard.
     pub lost: u32,
@@ -91,7 +93,8 @@ pub struct TissueReport {
     pub instrument_depth_m: f64,
     /// Deepest that the tissue sank into the organ, m.
     pub ground_depth_m: f64,
-    /// How often a node was slowed down because it would have crossed half a cell in a sub-step, since the start.
+    /// How often a node was slowed down because it would have crossed half a cell in a sub-step,
+    /// since the start.
     pub slowed: u64,
     /// Whether numbers left their range; the flap then stays where it was.
     pub fault: bool,
@@ -130,7 +133,8 @@ impl TissueReport {
     }
 }
 
-/// Cut-off of the forces that the report gives beside the plain ones, as a share per millisecond: 50 Hz.
+/// Cut-off of the forces that the report gives beside the plain ones, as a share per millisecond:
+/// 50 Hz.
 const FORCE_SHARE: f64 = 0.239;
 /// What is left of a fading force below this is none, N.
 const FORCE_N_MIN: f64 = 1e-12;

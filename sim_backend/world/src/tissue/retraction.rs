@@ -1,18 +1,22 @@
-//! Decides whether the flap was grasped at its mark and lifted, and catches what would only look like it.
+//! Decides whether the flap was grasped at its mark and lifted, and catches what would only look
+//! like it.
 //!
-//! In words: the flap counts as retracted when one jaw holds it within `mark_distance_m` of the mark (measured in the
-//! material, to the middle of the area held) while the mark is at least `lift_height_m` above where it lay, for `hold_s`
-//! without a break. The episode is lost when the tissue is pulled or pushed harder than `force_n_max` or slips out of the
-//! jaw, when one finger squeezes it harder than `squeeze_n_max`, when it is stretched by more than `stretch_max` or torn,
-//! when a jaw holds it beside the mark for longer than `stray_s`, when an instrument sinks into it, when it is pressed into
-//! what it lies on, when it is flung about, and when its simulation breaks; the task's clock is not kept here. Forces,
-//! stretch, depths and speed count once they last for 20 ms: one step alone may be a solver's hiccup.
+//! In words: the flap counts as retracted when one jaw holds it within `mark_distance_m` of the
+//! mark (measured in the material, to the middle of the area held) while the mark is at least
+//! `lift_height_m` above where it lay, for `hold_s` without a break. The episode is lost when the
+//! tissue is pulled or pushed harder than `force_n_max` or slips out of the jaw, when one finger
+//! squeezes it harder than `squeeze_n_max`, when it is stretched by more than `stretch_max` or
+//! torn, when a jaw holds it beside the mark for longer than `stray_s`, when an instrument sinks
+//! into it, when it is pressed into what it lies on, when it is flung about, and when its
+//! simulation breaks; the task's clock is not kept here. Forces, stretch, depths and speed count
+//! once they last for 20 ms: one step alone may be a solver's hiccup.
 //!
-//! Rigid things may not gain energy without external work. A flap has no such check, since its attached edge, the organ and
-//! the jaws all do work on it. A broken simulation of it shows otherwise: energy gain as speed (flung) and stretch
-//! (torn), at the worst as nodes that must be slowed down since they would cross half a cell in a sub-step (16 m/s as the
-//! task ships; no hand is that fast, so one is enough) or as numbers out of their range; a contact that gives way as depth,
-//! of the instrument in the tissue or of the tissue in the organ.
+//! Rigid things may not gain energy without external work. A flap has no such check, since its
+//! attached edge, the organ and the jaws all do work on it. A broken simulation of it shows
+//! otherwise: energy gain as speed (flung) and stretch (torn), at the worst as nodes that must be
+//! slowed down since they would cross half a cell in a sub-step (16 m/s as the task ships; no hand
+//! is that fast, so one is enough) or as numbers out of their range; a contact that gives way as
+//! depth, of the instrument in the tissue or of the tissue in the organ.
 
 use core::fmt;
 
@@ -34,18 +38,20 @@ pub struct RetractionConfig {
     pub mark_distance_m: f64,
     /// How long a jaw may hold the tissue elsewhere before the episode is lost, s.
     pub stray_s: f64,
-    /// Force between an instrument as a whole and the tissue, after a low pass at 50 Hz, N; a pinch is not in it. The task's 0.8 N are
-    /// half of what surgeons grip a liver with (1.75 N in the mean, 3.4 N at most, doi 10.1080/13645706.2020.1755313), since the flap
-    /// is 1.5 mm thick.
+    /// Force between an instrument as a whole and the tissue, after a low pass at 50 Hz, N; a pinch
+    /// is not in it. The task's 0.8 N are half of what surgeons grip a liver with (1.75 N in the
+    /// mean, 3.4 N at most, doi 10.1080/13645706.2020.1755313), since the flap is 1.5 mm thick.
     pub force_n_max: f64,
     /// Normal force of one finger on the tissue, held or not, after the same low pass, N.
     pub squeeze_n_max: f64,
     /// Largest stretch (0.3 is three tenths longer than at rest).
     pub stretch_max: f64,
-    /// Overlap of an instrument with the tissue's thickness, m; deeper is a fault of the simulation, and makes a trial invalid.
+    /// Overlap of an instrument with the tissue's thickness, m; deeper is a fault of the
+    /// simulation, and makes a trial invalid.
     pub depth_m_max: f64,
-    /// How deep the tissue may be pressed into what it lies on, m: a pressure, by the stiffness of `[tissue.ground]`. The task's 0.5 mm
-    /// are 5 kPa, a little more than closes a capillary (4.3 kPa, Landis 1930).
+    /// How deep the tissue may be pressed into what it lies on, m: a pressure, by the stiffness of
+    /// `[tissue.ground]`. The task's 0.5 mm are 5 kPa, a little more than closes a capillary (4.3
+    /// kPa, Landis 1930).
     pub ground_depth_m_max: f64,
     /// Speed of the fastest point of the tissue, m/s.
     pub speed_m_s_max: f64,
@@ -342,7 +348,8 @@ impl RetractionMonitor {
     }
 }
 
-/// Whether `seconds`, a sum of steps, amounts to `limit_s`; sums of milliseconds are exact to far less than half of one.
+/// Whether `seconds`, a sum of steps, amounts to `limit_s`; sums of milliseconds are exact to far
+/// less than half of one.
 fn reached(seconds: f64, limit_s: f64) -> bool {
     seconds > limit_s - 0.5 * TICK_S
 }

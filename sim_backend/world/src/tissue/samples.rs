@@ -10,7 +10,8 @@ const SIDE: usize = 4;
 /// Samples in a cell.
 pub(super) const PER_CELL: usize = SIDE * SIDE;
 
-/// A point of the sheet's material: a cell, by its lowest node, and the weights of the cell's corners.
+/// A point of the sheet's material: a cell, by its lowest node, and the weights of the cell's
+/// corners.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct MaterialPoint {
     corners: [usize; 4],
@@ -82,7 +83,8 @@ pub(super) struct Samples {
     points: Vec<MaterialPoint>,
     /// Area of the sheet for which one sample stands, m².
     pub(super) area_m2: f64,
-    /// Furthest that a sample may be from the nearest corner of its cell, m, be the cell stretched up to tearing.
+    /// Furthest that a sample may be from the nearest corner of its cell, m, be the cell stretched
+    /// up to tearing.
     cell_m: f64,
 }
 

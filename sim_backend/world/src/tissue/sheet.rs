@@ -1,5 +1,5 @@
-//! Hot path: bounded, no allocation, no I/O, no lock.
-//! A thin elastic sheet as a grid of mass points: where they are, how they move, and the step that moves them.
+//! Hot path: bounded, no allocation, no I/O, no lock. A thin elastic sheet as a grid of mass
+//! points: where they are, how they move, and the step that moves them.
 
 mod bending;
 mod membrane;
@@ -27,7 +27,8 @@ pub struct Sheet {
     pub(super) gravity: Vector3<f64>,
     pub(super) positions: Vec<Vector3<f64>>,
     pub(super) velocities: Vec<Vector3<f64>>,
-    /// Forces of this sub-step, N; contacts add to them between [`Self::load`] and [`Self::accelerate`].
+    /// Forces of this sub-step, N; contacts add to them between [`Self::load`] and
+    /// [`Self::accelerate`].
     pub(super) forces: Vec<Vector3<f64>>,
     pub(super) masses: Vec<f64>,
     /// 0 for a fixed node.
@@ -35,7 +36,8 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// A flat sheet at rest: `pose` places its frame, u along x and v along y, the corner `[0, 0]` at the origin.
+    /// A flat sheet at rest: `pose` places its frame, u along x and v along y, the corner `[0, 0]`
+    /// at the origin.
     #[must_use]
     pub fn new(
         shape: &SheetShape,
@@ -114,7 +116,8 @@ impl Sheet {
         }
     }
 
-    /// Moves the nodes along their velocities for `dt_s` (after [`Self::accelerate`] this is the symplectic Euler rule).
+    /// Moves the nodes along their velocities for `dt_s` (after [`Self::accelerate`] this is the
+    /// symplectic Euler rule).
     pub fn drift(&mut self, dt_s: f64) {
         for (position, velocity) in self.positions.iter_mut().zip(&self.velocities) {
             *position += velocity * dt_s;
@@ -143,7 +146,8 @@ impl Sheet {
         (1.0 + 2.0 * membrane::green_max(self).max(0.0)).sqrt() - 1.0
     }
 
-    /// Angular frequency of the fastest free oscillation about the present state, rad/s, found by power iteration.
+    /// Angular frequency of the fastest free oscillation about the present state, rad/s, found by
+    /// power iteration.
     ///
     /// Undamped, sub-steps shorter than 2 over this are stable.
     #[must_use]
@@ -189,8 +193,8 @@ fn norm(shape: &[Vector3<f64>]) -> f64 {
     shape.iter().map(Vector3::norm_squared).sum::<f64>().sqrt()
 }
 
-/// The longest stable sub-step of an oscillation of angular frequency squared `fastest` (1/s²) whose damping lags by
-/// `lag_s`, s.
+/// The longest stable sub-step of an oscillation of angular frequency squared `fastest` (1/s²)
+/// whose damping lags by `lag_s`, s.
 pub(super) fn longest_step_s(fastest: f64, lag_s: f64) -> f64 {
     // With the forces of the old velocities the rule is stable while fastest (dt² + 2 lag dt) < 4.
     (lag_s * lag_s + 4.0 / fastest).sqrt() - lag_s

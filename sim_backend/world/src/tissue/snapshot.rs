@@ -10,14 +10,16 @@ pub const NODES_MAX: usize = 208;
 /// The nodes and the mark of a flap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlapSnapshot {
-    /// Places of the nodes in their order, scene frame, m; those past the flap's own number are zero.
+    /// Places of the nodes in their order, scene frame, m; those past the flap's own number are
+    /// zero.
     nodes_m: [[f32; 3]; NODES_MAX],
     /// The mark in the material, m.
     mark_m: [f64; 2],
 }
 
 impl FlapSnapshot {
-    /// `tissue` as it is now. Of a flap with more than [`NODES_MAX`] nodes the last ones are missing.
+    /// `tissue` as it is now. Of a flap with more than [`NODES_MAX`] nodes the last ones are
+    /// missing.
     #[must_use]
     pub fn of(tissue: &Tissue) -> Self {
         let mut nodes_m = [[0.0; 3]; NODES_MAX];

@@ -1,4 +1,5 @@
-//! The flap as a closed surface for drawing: a smooth refinement of the grid, both faces and the rim.
+//! The flap as a closed surface for drawing: a smooth refinement of the grid, both faces and the
+//! rim.
 //!
 //! Vertices and triangles are chosen once; a frame only moves them and allocates nothing.
 
@@ -69,8 +70,8 @@ impl Surface {
         self.nodes[0] * self.nodes[1]
     }
 
-    /// Follows the sheet, whose nodes are at `positions` (m, in their order), [`Self::node_count`] of them. Indices and the
-    /// number of vertices stay.
+    /// Follows the sheet, whose nodes are at `positions` (m, in their order), [`Self::node_count`]
+    /// of them. Indices and the number of vertices stay.
     pub fn update(&mut self, positions: &[Vector3<f64>]) {
         self.refine(positions);
         let [columns, rows] = self.points;
@@ -126,7 +127,8 @@ impl Surface {
         }
     }
 
-    /// The upper face at the material coordinates `at_m`, held inside the sheet: place and unit normal.
+    /// The upper face at the material coordinates `at_m`, held inside the sheet: place and unit
+    /// normal.
     pub(super) fn upper(&self, at_m: [f64; 2]) -> (Vector3<f64>, Vector3<f64>) {
         let [(i, s), (j, t)] = [0, 1].map(|axis| {
             let last = self.points[axis] - 1;
@@ -179,7 +181,8 @@ fn spline(t: f64) -> [f64; 4] {
     ]
 }
 
-/// The spline through `nodes` nodes at refined point `point`; beyond the ends the line goes on straight.
+/// The spline through `nodes` nodes at refined point `point`; beyond the ends the line goes on
+/// straight.
 fn along(
     nodes: usize,
     point: usize,

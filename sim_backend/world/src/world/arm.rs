@@ -30,16 +30,19 @@ pub struct ArmBodies {
     pub shaft: Pose,
     /// Wrist: origin on the wrist-pitch axis, the wrist-yaw axis at x = 9.1 mm.
     pub wrist: Pose,
-    /// Left finger: origin on the wrist-yaw axis, z along the finger, inner face in the xz-plane, body at y > 0.
+    /// Left finger: origin on the wrist-yaw axis, z along the finger, inner face in the xz-plane,
+    /// body at y > 0.
     pub finger_left: Pose,
     /// Right finger: like the left one with its body at y < 0.
     pub finger_right: Pose,
-    /// Nothing to draw: the tip frame, its origin on the wrist-yaw axis, z along the closed fingers, x along their hinge.
+    /// Nothing to draw: the tip frame, its origin on the wrist-yaw axis, z along the closed
+    /// fingers, x along their hinge.
     pub tip: Pose,
 }
 
 impl ArmBodies {
-    /// Those of an arm whose remote centre is at `scene_from_rcm`, with these joints, rad (insertion m), and the jaw's angle, rad.
+    /// Those of an arm whose remote centre is at `scene_from_rcm`, with these joints, rad
+    /// (insertion m), and the jaw's angle, rad.
     #[must_use]
     pub fn at(scene_from_rcm: &Pose, joints: &JointVector, jaw: f64) -> Self {
         Self::of(&Chain::new(scene_from_rcm, joints), jaw)
@@ -150,8 +153,8 @@ impl ArmUnit {
         self.plant.finish(velocity, step_s);
     }
 
-    /// Velocity of `point` (scene frame) of a part along each axis of `frame`, and its angular velocity about the first one, a
-    /// row each, for each actuator's velocity.
+    /// Velocity of `point` (scene frame) of a part along each axis of `frame`, and its angular
+    /// velocity about the first one, a row each, for each actuator's velocity.
     pub(super) fn jacobian(
         &self,
         part: usize,
@@ -219,7 +222,8 @@ impl ArmUnit {
         self.plant.state().chain(self.load.efforts)
     }
 
-    /// Takes in what a flap does to left finger, right finger and wrist; it reaches the drives in the next millisecond.
+    /// Takes in what a flap does to left finger, right finger and wrist; it reaches the drives in
+    /// the next millisecond.
     pub(super) fn feel(&mut self, wrenches: &[Wrench; 3]) {
         self.load.efforts = self.efforts(wrenches);
     }

@@ -30,7 +30,8 @@ impl Wrench {
 }
 
 impl Chain {
-    /// The links at `joints` (rad, insertion m) of an arm whose remote centre is at `scene_from_rcm`.
+    /// The links at `joints` (rad, insertion m) of an arm whose remote centre is at
+    /// `scene_from_rcm`.
     pub(crate) fn new(scene_from_rcm: &Pose, joints: &JointVector) -> Self {
         let mut frame = *scene_from_rcm;
         let frames = core::array::from_fn(|joint| {
@@ -43,14 +44,15 @@ impl Chain {
         }
     }
 
-    /// Frame of a finger: the tip frame turned about its x by half the opening, `side` +1 for the left finger, which
-    /// opens towards +y, and -1 for the right one.
+    /// Frame of a finger: the tip frame turned about its x by half the opening, `side` +1 for the
+    /// left finger, which opens towards +y, and -1 for the right one.
     pub(crate) fn finger(&self, jaw: f64, side: f64) -> Pose {
         let half = 0.5 * jaw.clamp(0.0, JAW_MAX);
         self.tip * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -side * half)
     }
 
-    /// Joint efforts that a wrench, with its moment taken about the tip frame's origin, puts on the joints.
+    /// Joint efforts that a wrench, with its moment taken about the tip frame's origin, puts on the
+    /// joints.
     pub(crate) fn joint_efforts(&self, wrench: &Wrench) -> JointVector {
         let mut efforts = JointVector::zeros();
         for (joint, frame) in self.frames.iter().enumerate() {

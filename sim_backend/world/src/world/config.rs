@@ -9,7 +9,8 @@ use crate::plant::PlantConfig;
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WorldConfig {
-    /// The drives, and into how many sub-steps they cut a millisecond: contacts are solved together with them.
+    /// The drives, and into how many sub-steps they cut a millisecond: contacts are solved together
+    /// with them.
     pub plant: PlantConfig,
     /// Contact between the instrument and things.
     pub grip: Surface,
@@ -17,25 +18,27 @@ pub struct WorldConfig {
     pub ground: Surface,
     /// Contact between the instrument and the ground.
     pub press: Surface,
-    /// Damping of the jaw while it squeezes a flap, N m s/rad: what finger pads, hinge and cables lose. Without it
-    /// a jaw at its effort limit, whose controller then damps nothing, bounces on the flap.
+    /// Damping of the jaw while it squeezes a flap, N m s/rad: what finger pads, hinge and cables
+    /// lose. Without it a jaw at its effort limit, whose controller then damps nothing, bounces on
+    /// the flap.
     pub squeeze_damping_n_m_s: f64,
     /// Gravity, m/s², along -z.
     pub gravity_m_s2: f64,
 }
 
-/// A pair of surfaces. A contact is a spring with a damper that pushes and never pulls, and Coulomb friction.
+/// A pair of surfaces. A contact is a spring with a damper that pushes and never pulls, and Coulomb
+/// friction.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Surface {
     /// Stiffness of each contact point, N/m.
     ///
-    /// On solids a face is met in up to four points; 1e6 gives 0.02 mm under 20 N. On soft ground each of the
-    /// instrument's sample points (four at a finger's end, one on its back, two on the wrist) and each of a needle's nine
-    /// is a point.
+    /// On solids a face is met in up to four points; 1e6 gives 0.02 mm under 20 N. On soft ground
+    /// each of the instrument's sample points (four at a finger's end, one on its back, two on the
+    /// wrist) and each of a needle's nine is a point.
     pub stiffness_n_m: f64,
-    /// Damping of each contact point, N s/m. What was pressed in comes back no faster than depth times stiffness over
-    /// damping.
+    /// Damping of each contact point, N s/m. What was pressed in comes back no faster than depth
+    /// times stiffness over damping.
     pub damping_n_s_m: f64,
     /// Coulomb friction.
     pub friction: f64,
@@ -44,7 +47,8 @@ pub struct Surface {
 }
 
 impl WorldConfig {
-    /// Checks the ranges of a world read from `source` at the dotted `key`: outside them the physics is not stable.
+    /// Checks the ranges of a world read from `source` at the dotted `key`: outside them the
+    /// physics is not stable.
     ///
     /// # Errors
     /// [`ConfigError::OutOfRange`].

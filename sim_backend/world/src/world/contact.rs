@@ -1,23 +1,29 @@
-//! One contact in one sub-step: a compliant normal and Coulomb friction, as a convex cost of the relative velocity.
+//! One contact in one sub-step: a compliant normal and Coulomb friction, as a convex cost of the
+//! relative velocity.
 //!
-//! Shape: the gap closes at the contact's velocity, so the force at the *end* of a sub-step is
-//! `k (-gap - h v_n) - c v_n`, never a pull. Friction is regularised: it sticks up to a slip that is `SLIP` of what the
-//! contact's impulse would do to the free masses. A pad is no point: spin about the normal rubs at the radius of the patch,
-//! so that what two fingers hold between them does not swing about the line through them. All together is the projection of a linear impulse onto the friction
-//! cone in the norm of the compliance, which is the gradient of a convex function; its minimum is the sub-step's velocity.
+//! Shape: the gap closes at the contact's velocity, so the force at the *end* of a sub-step is `k
+//! (-gap - h v_n) - c v_n`, never a pull. Friction is regularised: it sticks up to a slip that is
+//! `SLIP` of what the contact's impulse would do to the free masses. A pad is no point: spin about
+//! the normal rubs at the radius of the patch, so that what two fingers hold between them does not
+//! swing about the line through them. All together is the projection of a linear impulse onto the
+//! friction cone in the norm of the compliance, which is the gradient of a convex function; its
+//! minimum is the sub-step's velocity.
 //!
-//! Sources: Castro, Permenter, Han, "An unconstrained convex formulation of compliant contact", IEEE T-RO 2023; Howe,
-//! Cutkosky, "Practical force-motion models for sliding manipulation", IJRR 1996 (sliding and spinning as an ellipsoid).
+//! Sources: Castro, Permenter, Han, "An unconstrained convex formulation of compliant contact",
+//! IEEE T-RO 2023; Howe, Cutkosky, "Practical force-motion models for sliding manipulation", IJRR
+//! 1996 (sliding and spinning as an ellipsoid).
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 use super::config::Surface;
 use crate::plant::AXIS_COUNT;
 
-/// Degrees of freedom of a thing: the velocity of its centre of mass, and its angular velocity, in the scene.
+/// Degrees of freedom of a thing: the velocity of its centre of mass, and its angular velocity, in
+/// the scene.
 pub(super) const THING_DOF: usize = 6;
 
-/// Slip at the edge of sticking, as a share of the velocity that the impulse gives to the masses in contact.
+/// Slip at the edge of sticking, as a share of the velocity that the impulse gives to the masses in
+/// contact.
 const SLIP: f64 = 1e-4;
 
 /// What has a part in a contact.
@@ -49,13 +55,15 @@ pub(super) struct Contact {
     pub(super) gap_m: f64,
     /// How they meet.
     pub(super) surface: Surface,
-    /// Velocity of the second side relative to the first that friction aims at, m/s: 0, or back to where they stuck.
+    /// Velocity of the second side relative to the first that friction aims at, m/s: 0, or back to
+    /// where they stuck.
     pub(super) homing: Vector3<f64>,
     /// The same of their spin about the normal, rad/s.
     pub(super) spin: f64,
 }
 
-/// Directions of a contact: the normal, two tangents, and spin about the normal at the patch's radius.
+/// Directions of a contact: the normal, two tangents, and spin about the normal at the patch's
+/// radius.
 pub(super) const DIRECTIONS: usize = 4;
 
 /// A contact with everything that a sub-step's solution needs.
@@ -87,7 +95,8 @@ pub(super) struct Cone {
 }
 
 impl Row {
-    /// The contact number `contact` with its Jacobian in `frame`; `tangent_mobility` is the mean of both tangents', 1/kg.
+    /// The contact number `contact` with its Jacobian in `frame`; `tangent_mobility` is the mean of
+    /// both tangents', 1/kg.
     pub(super) fn new(
         (contact, from): (usize, &Contact),
         frame: &[Vector3<f64>; 3],
@@ -130,7 +139,8 @@ impl Cone {
         self.project(v).0
     }
 
-    /// Impulse at the velocity `v`, and minus its derivative by the velocity, kg: symmetric, positive semidefinite.
+    /// Impulse at the velocity `v`, and minus its derivative by the velocity, kg: symmetric,
+    /// positive semidefinite.
     pub(super) fn impulse_and_slope(&self, v: &Vector4<f64>) -> (Vector4<f64>, Matrix4<f64>) {
         let (impulse, region) = self.project(v);
         let [along, across] = self.stiff;
@@ -142,8 +152,8 @@ impl Cone {
         (impulse, slope)
     }
 
-    /// Minus the derivative of the impulse of a sliding contact with the normal impulse `normal`: `pull` is the direction of friction
-    /// times `length`.
+    /// Minus the derivative of the impulse of a sliding contact with the normal impulse `normal`:
+    /// `pull` is the direction of friction times `length`.
     fn slide_slope(&self, normal: f64, pull: &Vector3<f64>, length: f64) -> Matrix4<f64> {
         let [along, across] = self.stiff;
         let mu = self.friction;
@@ -175,7 +185,8 @@ impl Cone {
         if length <= mu * normal {
             return (Vector4::new(normal, pull.x, pull.y, pull.z), Region::Stick);
         }
-        // The ratio of the compliances, across over along, says how much sliding feeds back into the normal.
+        // The ratio of the compliances, across over along, says how much sliding feeds back into
+        // the normal.
         let ratio = mu * along / across;
         if normal <= -ratio * length {
             return (Vector4::zeros(), Region::Free);

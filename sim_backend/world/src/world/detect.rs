@@ -1,4 +1,5 @@
-//! Where two convex shapes touch or are about to: contact points with normals and gaps, few enough to solve.
+//! Where two convex shapes touch or are about to: contact points with normals and gaps, few enough
+//! to solve.
 
 use nalgebra::Vector3;
 use rapier3d_f64::math::{Pose as EnginePose, Vector as EngineVector};
@@ -58,7 +59,8 @@ impl<'a> First<'a> {
         self.shape_from_scene * second
     }
 
-    /// Whether a ball about `centre` in this shape's frame is nearer than `reach_m` to the shape's box.
+    /// Whether a ball about `centre` in this shape's frame is nearer than `reach_m` to the shape's
+    /// box.
     pub(super) fn is_near(&self, centre: EngineVector, reach_m: f64) -> bool {
         let bounds = &self.body.bounds;
         let nearest = centre.clamp(bounds.mins, bounds.maxs);
@@ -71,7 +73,8 @@ impl Detector {
         self.found.clear();
     }
 
-    /// Adds where `second`, whose carrier is at `relative` in the frame of `first`, is within `reach_m` of it.
+    /// Adds where `second`, whose carrier is at `relative` in the frame of `first`, is within
+    /// `reach_m` of it.
     pub(super) fn pair(
         &mut self,
         first: &First<'_>,
@@ -109,8 +112,8 @@ impl Detector {
         }
     }
 
-    /// A capsule whose ends both lie over one face of a box meets it under its ends: the most common pair by far, and
-    /// hundreds of times cheaper so.
+    /// A capsule whose ends both lie over one face of a box meets it under its ends: the most
+    /// common pair by far, and hundreds of times cheaper so.
     fn capsule_on_face(
         &mut self,
         first: &First<'_>,
@@ -155,8 +158,8 @@ impl Detector {
         false
     }
 
-    /// Leaves of what was found what carries as well: each place once, and of each face four points at most, the deepest and
-    /// those that span it.
+    /// Leaves of what was found what carries as well: each place once, and of each face four points
+    /// at most, the deepest and those that span it.
     pub(super) fn reduce(&mut self) {
         merge(&mut self.found);
         let mut from = 0;
@@ -226,7 +229,8 @@ fn span(face: &mut [Found]) -> usize {
     let area = |a: &Found, b: &Found, p: &Found| {
         normal.dot(&(b.point - a.point).cross(&(p.point - a.point)))
     };
-    // Of points that are as deep as each other, the first: a choice by rounding would change from step to step.
+    // Of points that are as deep as each other, the first: a choice by rounding would change from
+    // step to step.
     take(0, &|_, p| -(p.gap_m / LEVEL_M).floor());
     take(1, &|kept, p| (p.point - kept[0].point).norm_squared());
     take(2, &|kept, p| area(&kept[0], &kept[1], p).abs());

@@ -1,4 +1,5 @@
-//! The soft flap of a world: where the instruments are for it, what it does to them, and how they hold it.
+//! The soft flap of a world: where the instruments are for it, what it does to them, and how they
+//! hold it.
 
 use super::Grasp;
 use super::arm::ArmUnit;
@@ -6,8 +7,8 @@ use super::chain::Wrench;
 use super::scenery::{Flap, Ground};
 use crate::tissue::{self, JawInput, Tissue};
 
-/// Share of a new grip that counts in a millisecond, a low pass at 8 Hz: cables give, and a drive's effort ripples while
-/// the jaw closes, which is no reason for held tissue to be let go.
+/// Share of a new grip that counts in a millisecond, a low pass at 8 Hz: cables give, and a drive's
+/// effort ripples while the jaw closes, which is no reason for held tissue to be let go.
 const GRIP_SHARE: f64 = 0.05;
 
 /// A flap with the jaws that may touch it, one an arm.

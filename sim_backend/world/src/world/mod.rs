@@ -1,4 +1,5 @@
-//! The simulated world: arms, things that they can grip, a soft flap, and ground, a millisecond at a time.
+//! The simulated world: arms, things that they can grip, a soft flap, and ground, a millisecond at
+//! a time.
 
 mod arm;
 mod chain;
@@ -32,10 +33,10 @@ pub use thing::REST_M_S;
 
 /// Arms over things on some ground.
 ///
-/// Drives, things and the contacts between instruments, things and ground are solved together, in every sub-step of a
-/// millisecond: an instrument that meets something is held up by it as far as its drives give way. (Only a flap's pull
-/// reaches the drives a millisecond later; it is soft.) Nothing ever attaches a thing: it is held by friction or not at
-/// all.
+/// Drives, things and the contacts between instruments, things and ground are solved together, in
+/// every sub-step of a millisecond: an instrument that meets something is held up by it as far as
+/// its drives give way. (Only a flap's pull reaches the drives a millisecond later; it is soft.)
+/// Nothing ever attaches a thing: it is held by friction or not at all.
 pub struct World {
     arms: Vec<ArmUnit>,
     stage: Stage,
@@ -45,8 +46,8 @@ pub struct World {
 /// What the fingers of one arm feel of one thing or of the flap.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Grasp {
-    /// Sum of normal forces on the left finger, N; of a flap, without the pull of what it holds, which is along the pads
-    /// as well.
+    /// Sum of normal forces on the left finger, N; of a flap, without the pull of what it holds,
+    /// which is along the pads as well.
     pub left_force_n: f64,
     /// The same on the right finger, N.
     pub right_force_n: f64,
@@ -72,7 +73,8 @@ impl World {
         }
     }
 
-    /// How many arms there are. Functions that take the number of an arm or a thing panic if there is none.
+    /// How many arms there are. Functions that take the number of an arm or a thing panic if there
+    /// is none.
     #[must_use]
     pub const fn arm_count(&self) -> usize {
         self.arms.len()
@@ -84,12 +86,14 @@ impl World {
         self.arms[arm].measured(stamp)
     }
 
-    /// Takes a setpoint for an arm, which holds until the next one. Before the first the arm holds its initial position.
+    /// Takes a setpoint for an arm, which holds until the next one. Before the first the arm holds
+    /// its initial position.
     pub fn command(&mut self, arm: usize, command: &ArmCommand) {
         self.arms[arm].command(command);
     }
 
-    /// Takes set-points for the drives of an arm that are commanded one by one, which hold until the next ones.
+    /// Takes set-points for the drives of an arm that are commanded one by one, which hold until
+    /// the next ones.
     pub fn lead(&mut self, arm: usize, setpoint: &DriveSetpoint) {
         self.arms[arm].lead(setpoint);
     }
@@ -130,8 +134,8 @@ impl World {
         self.stage.thing(thing).velocity
     }
 
-    /// Makes a thing slide along the ground, as a tug at a thread would: sets its velocity along the scene's x and y, m/s, and
-    /// about z, rad/s, and leaves the rest of its motion as it is.
+    /// Makes a thing slide along the ground, as a tug at a thread would: sets its velocity along
+    /// the scene's x and y, m/s, and about z, rad/s, and leaves the rest of its motion as it is.
     pub fn nudge(&mut self, thing: usize, velocity_m_s: [f64; 2], turn_rad_s: f64) {
         let [mut linear, mut angular] = self.thing_velocity(thing);
         [linear.x, linear.y] = velocity_m_s;
@@ -175,13 +179,15 @@ impl World {
         self.arms[arm].bodies()
     }
 
-    /// Sum of the normal contact forces between the ground and an arm's instrument in the newest step, N.
+    /// Sum of the normal contact forces between the ground and an arm's instrument in the newest
+    /// step, N.
     #[must_use]
     pub fn ground_force_n(&self, arm: usize) -> f64 {
         self.stage.ground_force_n(arm)
     }
 
-    /// Sum of the normal contact forces between the ground and a thing in the newest step, N; its weight included.
+    /// Sum of the normal contact forces between the ground and a thing in the newest step, N; its
+    /// weight included.
     #[must_use]
     pub fn thing_ground_force_n(&self, thing: usize) -> f64 {
         self.stage.thing_ground_force_n(thing)
@@ -205,7 +211,8 @@ impl World {
         self.drape.as_ref().map(Drape::tissue)
     }
 
-    /// What the arms are to handle, in the scene: the first thing or, where there is none, the flap's mark.
+    /// What the arms are to handle, in the scene: the first thing or, where there is none, the
+    /// flap's mark.
     #[must_use]
     pub fn subject_in_scene(&self) -> Pose {
         match self.tissue() {
@@ -223,7 +230,8 @@ impl World {
         }
     }
 
-    /// Largest penetration depth of the first thing and the ground in the newest step, m; 0 without a thing.
+    /// Largest penetration depth of the first thing and the ground in the newest step, m; 0 without
+    /// a thing.
     #[must_use]
     pub fn subject_sunk_m(&self) -> f64 {
         if self.thing_count() == 0 {

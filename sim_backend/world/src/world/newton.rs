@@ -1,9 +1,9 @@
-//! The velocities of a sub-step, by Newton's method on a convex cost: the drives' and the things' momentum, the drives' dry
-//! friction, and every contact together.
+//! The velocities of a sub-step, by Newton's method on a convex cost: the drives' and the things'
+//! momentum, the drives' dry friction, and every contact together.
 //!
-//! The cost is strictly convex, so there is one minimum, and the search along each Newton direction never leaves its
-//! neighbourhood: what a drive with hundreds of times a thing's mass presses on the ground is solved as exactly as a thing
-//! that lies alone.
+//! The cost is strictly convex, so there is one minimum, and the search along each Newton direction
+//! never leaves its neighbourhood: what a drive with hundreds of times a thing's mass presses on
+//! the ground is solved as exactly as a thing that lies alone.
 
 use nalgebra::{Matrix3, Matrix4, Vector4};
 
@@ -37,7 +37,8 @@ pub(super) struct Axis {
 pub(super) struct Masses {
     /// Arms' drives, in order.
     pub(super) drives: Vec<Axis>,
-    /// Things: mass, inertia in the scene, free velocity of the centre of mass and free angular velocity.
+    /// Things: mass, inertia in the scene, free velocity of the centre of mass and free angular
+    /// velocity.
     pub(super) things: Vec<ThingMass>,
 }
 
@@ -185,8 +186,8 @@ impl Row {
 }
 
 impl Newton {
-    /// Finds the velocities at the end of a sub-step of `step_s`, from the guess in `velocity`, and adds each contact's impulse
-    /// to its row.
+    /// Finds the velocities at the end of a sub-step of `step_s`, from the guess in `velocity`, and
+    /// adds each contact's impulse to its row.
     pub(super) fn solve(&mut self, masses: &Masses, rows: &mut [Row], step_s: f64) {
         let (count, drives) = (masses.count(), masses.drives.len());
         self.cones.clear();
@@ -220,7 +221,8 @@ impl Newton {
         }
     }
 
-    /// Gradient and Hessian at the velocities; gives the size of what the gradient is the difference of.
+    /// Gradient and Hessian at the velocities; gives the size of what the gradient is the
+    /// difference of.
     fn assemble(&mut self, masses: &Masses, rows: &[Row]) -> f64 {
         let (count, drives) = (masses.count(), masses.drives.len());
         let Self {
@@ -264,8 +266,8 @@ impl Newton {
         moved.max(pushed)
     }
 
-    /// Turns the gradient into the Newton direction; false if the Hessian is not positive definite, which only input that is
-    /// not finite can make it.
+    /// Turns the gradient into the Newton direction; false if the Hessian is not positive definite,
+    /// which only input that is not finite can make it.
     fn descend(&mut self, count: usize) -> bool {
         let Self {
             gradient,
@@ -306,14 +308,16 @@ impl Newton {
         true
     }
 
-    /// How far to go along the direction: to where the cost along it is nearly least, at most all the way.
+    /// How far to go along the direction: to where the cost along it is nearly least, at most all
+    /// the way.
     fn search(&self, masses: &Masses) -> f64 {
         let first = self.slope_at(masses, 0.0);
         let last = self.slope_at(masses, 1.0);
         if last <= SEARCH_TOLERANCE * first.abs() {
             return 1.0;
         }
-        // A rising function with a zero between: regula falsi, with the end that stays weighed down (Illinois).
+        // A rising function with a zero between: regula falsi, with the end that stays weighed down
+        // (Illinois).
         let (mut low, mut high) = ((0.0, first), (1.0, last));
         for _ in 0..SEARCH_MAX {
             let share = high.0 - high.1 * (high.0 - low.0) / (high.1 - low.1);

@@ -19,7 +19,8 @@ pub struct Scenery {
     pub flap: Option<Flap>,
 }
 
-/// A soft flap of tissue. It lies on a [`Ground::Bed`]; it does not touch things, and no other ground.
+/// A soft flap of tissue. It lies on a [`Ground::Bed`]; it does not touch things, and no other
+/// ground.
 #[derive(Clone, Debug)]
 pub struct Flap {
     /// What it is.
@@ -102,7 +103,8 @@ pub enum Ground {
     Organ(Organ),
     /// Hard convex solids in the scene frame.
     Solids(Vec<Shape>),
-    /// A soft organ with a rim, for a flap to lie on, a spring contact for the instrument; things fall through.
+    /// A soft organ with a rim, for a flap to lie on, a spring contact for the instrument; things
+    /// fall through.
     Bed(tissue::Ground),
     /// A soft organ with hard solids that stand on it.
     OrganWithSolids(SoftOrgan, Vec<Shape>),
@@ -121,11 +123,12 @@ pub struct SoftOrgan {
 
 /// Length of the capsules that make up the needle, m, at most.
 const NEEDLE_CAPSULE_M: f64 = 0.002_6;
-/// The needle's inertia over that of its shape. A contact is as stiff as the mass it finds at its lever is large, so a
-/// slender wire held away from its middle would rock in the jaws; like the raised mass, this stays far below what the
-/// grip carries.
+/// The needle's inertia over that of its shape. A contact is as stiff as the mass it finds at its
+/// lever is large, so a slender wire held away from its middle would rock in the jaws; like the
+/// raised mass, this stays far below what the grip carries.
 const NEEDLE_INERTIA: f64 = 3.0;
-/// Balls along the needle that rest on the tissue: a ball meets a smooth surface in one point, and three carry it.
+/// Balls along the needle that rest on the tissue: a ball meets a smooth surface in one point, and
+/// three carry it.
 const NEEDLE_BEADS: usize = 9;
 
 impl RigidBody {
@@ -139,7 +142,8 @@ impl RigidBody {
         needle
     }
 
-    /// A needle as a chain of capsules for fingers and hard ground alike, and of balls for the tissue.
+    /// A needle as a chain of capsules for fingers and hard ground alike, and of balls for the
+    /// tissue.
     #[must_use]
     pub fn needle_on_any_ground(shape: &NeedleShape, in_scene: Pose) -> Self {
         let mut needle = Self::needle(shape, in_scene);

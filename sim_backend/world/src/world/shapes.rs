@@ -17,7 +17,8 @@ pub const FINGER_THICKNESS_M: f64 = 0.001_5;
 /// Radius of the wrist links, m.
 pub(super) const WRIST_RADIUS_M: f64 = 0.002_5;
 
-/// A convex shape in the frame of what carries it, with what says quickly that another one is far away.
+/// A convex shape in the frame of what carries it, with what says quickly that another one is far
+/// away.
 #[derive(Clone)]
 pub(super) struct Body {
     pub(super) shape: SharedShape,
@@ -76,8 +77,9 @@ fn wrist() -> (SharedShape, Pose) {
     )
 }
 
-/// Points of a part of the instrument that soft ground presses at, in the part's frame: the corners of a finger's end and
-/// the middle of its outer face, or the two ends of the wrist's line, whose balls hang `WRIST_RADIUS_M` lower.
+/// Points of a part of the instrument that soft ground presses at, in the part's frame: the corners
+/// of a finger's end and the middle of its outer face, or the two ends of the wrist's line, whose
+/// balls hang `WRIST_RADIUS_M` lower.
 pub(super) fn sample_points(part: usize) -> Vec<Point3<f64>> {
     let side = match part {
         0 => 1.0,

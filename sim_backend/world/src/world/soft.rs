@@ -39,7 +39,8 @@ impl SoftGround for tissue::Ground {
     }
 }
 
-/// Where a ball of `radius_m` about `centre` meets the soft `ground`, if it is within `reach_m`; none of a bed's flap.
+/// Where a ball of `radius_m` about `centre` meets the soft `ground`, if it is within `reach_m`;
+/// none of a bed's flap.
 pub(super) fn meet(
     ground: &Ground,
     centre: &Vector3<f64>,

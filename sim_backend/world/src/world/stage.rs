@@ -1,6 +1,8 @@
-//! A millisecond of the rigid world: finds contacts, and solves drives, things and contacts together in every sub-step.
+//! A millisecond of the rigid world: finds contacts, and solves drives, things and contacts
+//! together in every sub-step.
 //!
-//! Only bodies in or near contact are solved: an arm in the air is its drives alone, and a resting thing sleeps.
+//! Only bodies in or near contact are solved: an arm in the air is its drives alone, and a resting
+//! thing sleeps.
 
 mod find;
 mod rows;

@@ -1,9 +1,9 @@
 //! Static friction with a memory: the fingers know where a thing stuck to them.
 //!
-//! A friction cone stops sliding speed but forgets the place, so what regularisation lets slip adds up to a creep. Here a
-//! finger that touches a thing remembers its pose in its own frame, and friction at every contact point aims at
-//! going back there instead of standing still. It goes through the same Coulomb cone: a pull beyond it slides,
-//! and the memory slides along.
+//! A friction cone stops sliding speed but forgets the place, so what regularisation lets slip adds
+//! up to a creep. Here a finger that touches a thing remembers its pose in its own frame, and
+//! friction at every contact point aims at going back there instead of standing still. It goes
+//! through the same Coulomb cone: a pull beyond it slides, and the memory slides along.
 
 use hal::Pose;
 use nalgebra::{Point3, Vector3};
@@ -22,7 +22,8 @@ pub(super) struct Memory {
 }
 
 impl Memory {
-    /// Takes the poses after a step in which the finger touched the thing around `point_in_scene`, or did not touch.
+    /// Takes the poses after a step in which the finger touched the thing around `point_in_scene`,
+    /// or did not touch.
     pub(super) fn update(
         &mut self,
         finger: &Pose,
@@ -45,9 +46,9 @@ impl Memory {
         }
     }
 
-    /// The motion in the scene that takes the thing from where it is to where it stuck.
-    /// Velocity that brings the thing's `point` (scene frame) back to where it stuck to the finger, along the surface with
-    /// `normal`, m/s; and the spin about the normal that turns it back, rad/s.
+    /// The motion in the scene that takes the thing from where it is to where it stuck. Velocity
+    /// that brings the thing's `point` (scene frame) back to where it stuck to the finger, along
+    /// the surface with `normal`, m/s; and the spin about the normal that turns it back, rad/s.
     pub(super) fn homing(
         &self,
         (finger, thing): (&Pose, &Pose),

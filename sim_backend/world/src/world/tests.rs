@@ -23,8 +23,8 @@ struct Bench {
 }
 
 impl Bench {
-    /// Fingers pointing down with their ends `above_m` over the organ's middle; the needle's middle at `needle_x_m`,
-    /// `needle_above_m` over the organ.
+    /// Fingers pointing down with their ends `above_m` over the organ's middle; the needle's middle
+    /// at `needle_x_m`, `needle_above_m` over the organ.
     fn new(above_m: f64, needle_x_m: f64, needle_above_m: f64) -> Self {
         Self::of("needle-lift", above_m, needle_x_m, needle_above_m)
     }
@@ -35,7 +35,8 @@ impl Bench {
         Self::with_needle(needle, above_m, needle_x_m, needle_above_m, 0.0)
     }
 
-    /// The same with another needle, whose arc is under the fingers at the angle `along` from its middle.
+    /// The same with another needle, whose arc is under the fingers at the angle `along` from its
+    /// middle.
     fn with_needle(
         (task, shape): (&str, &NeedleShape),
         above_m: f64,
@@ -154,7 +155,8 @@ fn insertion(z_m: f64) -> f64 {
     0.15 + 0.006_5 - FINGER_M - z_m
 }
 
-/// Slip of the needle's point `grasped` and turn of the needle in the jaws over 5 s of shaking at 1 Hz.
+/// Slip of the needle's point `grasped` and turn of the needle in the jaws over 5 s of shaking at 1
+/// Hz.
 fn shake(bench: &mut Bench, grasped: &Point3<f64>) -> (f64, f64) {
     let held = bench.needle_in_tip();
     let still = bench.command.position;
@@ -351,7 +353,8 @@ fn the_same_commands_give_the_same_bits() {
 
 #[test]
 fn scripted_commands_end_in_the_known_state() {
-    // Approach, grasp, lift, shake, drop, press. A refactoring that moves one bit of this moves every recorded episode.
+    // Approach, grasp, lift, shake, drop, press. A refactoring that moves one bit of this moves
+    // every recorded episode.
     let mut bench = Bench::lifted(-0.15);
     let lifted = bench.world.state_hash();
     shake(&mut bench, &Point3::new(HALF_CIRCLE.arc_radius_m, 0.0, 0.0));

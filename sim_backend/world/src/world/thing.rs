@@ -8,8 +8,9 @@ use super::newton::ThingMass;
 use super::scenery::RigidBody;
 use super::shapes::Body;
 
-/// A thing near which no instrument is falls asleep once no point of it has been faster than this, m/s, for 0.1 s; it
-/// then stays where it is to the bit until an instrument comes near. A slide slower than that ends there.
+/// A thing near which no instrument is falls asleep once no point of it has been faster than this,
+/// m/s, for 0.1 s; it then stays where it is to the bit until an instrument comes near. A slide
+/// slower than that ends there.
 pub const REST_M_S: f64 = 2e-5;
 /// How long it lies that still before it falls asleep, s.
 const REST_S: f64 = 0.1;
@@ -67,8 +68,8 @@ impl Moving {
         [&self.inertia, &self.inverse_inertia].map(|inertia| turn * inertia * turn.transpose())
     }
 
-    /// Its row of the mass matrix for a sub-step of `step_s` in which only `gravity` (m/s²) acts, with the inertia
-    /// `in_scene` and its inverse.
+    /// Its row of the mass matrix for a sub-step of `step_s` in which only `gravity` (m/s²) acts,
+    /// with the inertia `in_scene` and its inverse.
     pub(super) fn free(
         &self,
         [inertia, inverse]: &[Matrix3<f64>; 2],

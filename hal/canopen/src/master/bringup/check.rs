@@ -1,7 +1,8 @@
-//! The last questions to every node before its drive gets a SYNC: whether anything is wrong with it, and whether it still has
-//! its settings.
+//! The last questions to every node before its drive gets a SYNC: whether anything is wrong with
+//! it, and whether it still has its settings.
 //!
-//! What a node says by itself may be lost, or was said before it counted; and it is said once. What it answers can't be missed.
+//! What a node says by itself may be lost, or was said before it counted; and it is said once. What
+//! it answers can't be missed.
 
 use super::super::link::Bus;
 use super::super::plan::ArmPlan;
@@ -11,14 +12,14 @@ use crate::cia301::emcy::{ErrorRegister, register};
 use crate::cia402::Mode;
 use crate::index;
 
-/// Bits of 1001h that a sound drive may have: that there is something, and that it concerns the communication. Until the SYNC
-/// comes it misses heartbeat, SYNC, and set-points.
+/// Bits of 1001h that a sound drive may have: that there is something, and that it concerns the
+/// communication. Until the SYNC comes it misses heartbeat, SYNC, and set-points.
 const SOUND: u8 = register::GENERIC | register::COMMUNICATION;
 
 /// Asks the node of `axis`, which was given the home offset `home` if it has one.
 ///
-/// A restart takes away its heartbeat, its mode, and its reference: of these a drive may have stored one or the other, of the
-/// bus or of the axis, but hardly all.
+/// A restart takes away its heartbeat, its mode, and its reference: of these a drive may have
+/// stored one or the other, of the bus or of the axis, but hardly all.
 pub(super) async fn node<B: Bus>(
     exchange: &Exchange<'_, B>,
     plan: &ArmPlan,

@@ -18,13 +18,13 @@ use hal::count::count_u8;
 const DEADLINE_CYCLES: u64 = 10;
 /// Least deadline, ms: below that the host's own jitter would stop the arm.
 const DEADLINE_MS_MIN: u64 = 10;
-/// PDOs of one direction that CiA 301 gives a logical device of a node, logical devices at most, and PDOs that have an
-/// identifier of their own.
+/// PDOs of one direction that CiA 301 gives a logical device of a node, logical devices at most,
+/// and PDOs that have an identifier of their own.
 const PDOS_A_DEVICE: u16 = 64;
 const DEVICES_MAX: u16 = 8;
 const PDOS_NAMED: u16 = 4;
-/// The bits of the COB-ID of a PDO in use that are compared: valid, and the identifier of eleven bits. Whether remote frames are
-/// allowed, which no node sends, is the drive's own.
+/// The bits of the COB-ID of a PDO in use that are compared: valid, and the identifier of eleven
+/// bits. Whether remote frames are allowed, which no node sends, is the drive's own.
 const IN_USE: u32 = INVALID | 1 << 29 | 0x7FF;
 /// SYNC and time stamps that the node itself sends, and time stamps that it hears (1005h, 1012h).
 const PRODUCED: u32 = 1 << 30;
@@ -114,11 +114,12 @@ pub(super) async fn node<B: Bus>(
         .await
 }
 
-/// All that a drive may have stored to be said or heard beside what the plan counts: PDOs, as a second way to command it or as
-/// load on the bus, and time stamps. What is used is put into use afterwards.
+/// All that a drive may have stored to be said or heard beside what the plan counts: PDOs, as a
+/// second way to command it or as load on the bus, and time stamps. What is used is put into use
+/// afterwards.
 ///
-/// The first four PDOs are read one by one, the others up to the first that a node lacks, and so for each logical device
-/// that it may have.
+/// The first four PDOs are read one by one, the others up to the first that a node lacks, and so
+/// for each logical device that it may have.
 async fn silence<B: Bus>(to: &Writer<'_, '_, B>) -> Result<(), BringUpError> {
     for direction in [index::rpdo(0, 1), index::tpdo(0, 1)] {
         for device in 0..DEVICES_MAX {

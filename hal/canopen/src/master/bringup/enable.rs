@@ -1,4 +1,5 @@
-//! The last step of bring-up: the SYNC begins, and all drives are enabled in the same cycle, once they may have torque.
+//! The last step of bring-up: the SYNC begins, and all drives are enabled in the same cycle, once
+//! they may have torque.
 
 use super::super::arm::CanArm;
 use super::super::cycle::{Cycle, Goal};
@@ -24,12 +25,13 @@ pub enum Permission {
     Denied,
 }
 
-/// Starts the SYNCs of several arms and enables all their drives, so that no arm waits without a SYNC for another one. No drive has torque
-/// before `allowed`, which is called once a cycle, grants it.
+/// Starts the SYNCs of several arms and enables all their drives, so that no arm waits without a
+/// SYNC for another one. No drive has torque before `allowed`, which is called once a cycle, grants
+/// it.
 ///
 /// # Errors
-/// As [`Homed::enable`], with the place of the arm that failed, or [`BringUpError::Denied`]; the drives of all arms are taken down then, through
-/// the states of CiA 402.
+/// As [`Homed::enable`], with the place of the arm that failed, or [`BringUpError::Denied`]; the
+/// drives of all arms are taken down then, through the states of CiA 402.
 pub fn enable_together<B: Bus>(
     mut homed: Vec<Homed<B>>,
     allowed: &mut dyn FnMut() -> Permission,
@@ -52,8 +54,8 @@ pub fn enable_together<B: Bus>(
 }
 
 impl<B: Bus> CanArm<B> {
-    /// Gives the buses back, for a new bring-up, after the operator has cleared the fault. The drives are taken down and the nodes stopped
-    /// first, which may take [`Self::take_down_ns`].
+    /// Gives the buses back, for a new bring-up, after the operator has cleared the fault. The
+    /// drives are taken down and the nodes stopped first, which may take [`Self::take_down_ns`].
     #[must_use]
     pub fn release(mut self) -> B {
         take_down(core::slice::from_mut(&mut self));
@@ -69,8 +71,8 @@ fn take_down<B: Bus>(arms: &mut [CanArm<B>]) {
     }
 }
 
-/// Asks the nodes of all arms, and starts them if none has an objection: once started they should not wait for a SYNC. The place
-/// of the arm that can't be started, if there is one.
+/// Asks the nodes of all arms, and starts them if none has an objection: once started they should
+/// not wait for a SYNC. The place of the arm that can't be started, if there is one.
 fn start_all<B: Bus>(homed: &mut [Homed<B>]) -> Option<(usize, BringUpError)> {
     [Homed::check, Homed::start].into_iter().find_map(|step| {
         let mut arms = homed.iter_mut().enumerate();
@@ -78,8 +80,9 @@ fn start_all<B: Bus>(homed: &mut [Homed<B>]) -> Option<(usize, BringUpError)> {
     })
 }
 
-/// The arm as its SYNC begins at `start`. What has come since its nodes were sent NMT start is the cycle's to judge, but for
-/// heartbeats from before they did; and that a controller has become error passive before.
+/// The arm as its SYNC begins at `start`. What has come since its nodes were sent NMT start is the
+/// cycle's to judge, but for heartbeats from before they did; and that a controller has become
+/// error passive before.
 fn begin<B: Bus>(homed: Homed<B>, start: TimeNs) -> CanArm<B> {
     let Homed {
         bus: watched, plan, ..
@@ -130,7 +133,8 @@ impl Turns {
         }
     }
 
-    /// Waits for the next cycle. SYNCs that a late process has missed are not made up for: no drive could answer them.
+    /// Waits for the next cycle. SYNCs that a late process has missed are not made up for: no drive
+    /// could answer them.
     fn next<B: Bus>(&mut self, arms: &mut [CanArm<B>]) {
         self.at = self.at.plus_ns(self.cycle_ns);
         if let Some(first) = arms.first_mut() {
@@ -177,7 +181,8 @@ impl Turns {
             .map_or(Ok(()), |fault| Err(BringUpError::Fault(fault)))
     }
 
-    /// Takes the drives of `arms` down because of `cause`, and says so where one that was switched on does not confirm it.
+    /// Takes the drives of `arms` down because of `cause`, and says so where one that was switched
+    /// on does not confirm it.
     fn take_down_after<B: Bus>(
         &mut self,
         cause: BringUpError,
@@ -191,7 +196,8 @@ impl Turns {
         }
     }
 
-    /// Takes the drives of all arms down and stops their nodes; whether all have confirmed that they have no torque.
+    /// Takes the drives of all arms down and stops their nodes; whether all have confirmed that
+    /// they have no torque.
     fn take_down<B: Bus>(&mut self, arms: &mut [CanArm<B>]) -> bool {
         let start = self.at;
         loop {

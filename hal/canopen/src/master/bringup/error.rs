@@ -27,7 +27,8 @@ pub enum BringUpError {
         /// The bus.
         line: u8,
     },
-    /// Frames were lost between the bus and us since we have said something: what they said is not known.
+    /// Frames were lost between the bus and us since we have said something: what they said is not
+    /// known.
     #[error("bus {line}: {count} frames were lost before they were read, {step}")]
     FramesLost {
         /// The bus.
@@ -108,7 +109,8 @@ pub enum BringUpError {
         /// The most that it may have.
         most: i64,
     },
-    /// A node has another COB-ID than it was given: a PDO that stays on or off, or goes by another identifier.
+    /// A node has another COB-ID than it was given: a PDO that stays on or off, or goes by another
+    /// identifier.
     #[error(
         "node {node}: {address} is {found:08X}h after {written:08X}h was written, and they may not differ in {mask:08X}h"
     )]
@@ -208,7 +210,8 @@ pub enum BringUpError {
         /// When it was heard.
         step: Step,
     },
-    /// A node sent an emergency after it had been set up, or at any time that there is another one with its number.
+    /// A node sent an emergency after it had been set up, or at any time that there is another one
+    /// with its number.
     #[error("{who}: emergency {code}, {step}")]
     Emergency {
         /// The node.
@@ -224,7 +227,8 @@ pub enum BringUpError {
     /// The drives were not enabled in time.
     #[error("the drives did not become enabled in time")]
     Slow,
-    /// The drives were not enabled for this cause, and not all have confirmed thereafter that they are without torque.
+    /// The drives were not enabled for this cause, and not all have confirmed thereafter that they
+    /// are without torque.
     #[error("{0}; not all drives have confirmed that they have no torque")]
     NotDown(Box<BringUpError>),
     /// The drives may not have torque.

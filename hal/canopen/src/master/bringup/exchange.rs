@@ -1,7 +1,8 @@
-//! SDO transfers and NMT with several nodes at a time: each axis has a sequence of its own, a future, and one loop receives for
-//! all of them.
+//! SDO transfers and NMT with several nodes at a time: each axis has a sequence of its own, a
+//! future, and one loop receives for all of them.
 //!
-//! The loop polls every sequence after each look at the buses, so nothing has to wake anything and no other executor is needed.
+//! The loop polls every sequence after each look at the buses, so nothing has to wake anything and
+//! no other executor is needed.
 
 use core::cell::{Cell, RefCell};
 use core::future::poll_fn;
@@ -21,11 +22,13 @@ use crate::cia301::sync::Sync;
 use hal::TimeNs;
 use hal::tail::TAIL_AXES;
 
-/// SYNC periods between two set-points of a drive that is homed: the transfers that ask for its status word need room on the bus.
+/// SYNC periods between two set-points of a drive that is homed: the transfers that ask for its
+/// status word need room on the bus.
 const HOMING_CYCLES: u64 = 2;
 
-/// Bits of a bus for each transfer, of which its two frames take at most 270: all transfers together leave half of the bus to others,
-/// who may lead drives on it. A heartbeat that waits behind transfers would hold up the SYNC behind it.
+/// Bits of a bus for each transfer, of which its two frames take at most 270: all transfers
+/// together leave half of the bus to others, who may lead drives on it. A heartbeat that waits
+/// behind transfers would hold up the SYNC behind it.
 const TRANSFER_BITS: u64 = 540;
 
 /// A ticket lock: who may begin the next transfer on a bus.
@@ -138,8 +141,8 @@ impl<'a, B: Bus> Exchange<'a, B> {
         }
     }
 
-    /// Sends the set-points, and on each bus that has any the SYNC after them; tells whether there are any and all found room.
-    /// What found none is sent again with the next look.
+    /// Sends the set-points, and on each bus that has any the SYNC after them; tells whether there
+    /// are any and all found room. What found none is sent again with the next look.
     fn send_set_points(&self, bus: &mut B) -> bool {
         let (mut any, mut all) = (false, true);
         for line in self.lines.clone() {
@@ -187,7 +190,8 @@ impl<'a, B: Bus> Exchange<'a, B> {
         self.off[line as usize].get()
     }
 
-    /// Waits until a transfer may begin on `line`: one after the other, in the order in which they ask.
+    /// Waits until a transfer may begin on `line`: one after the other, in the order in which they
+    /// ask.
     pub(in super::super) async fn transfer_turn(&self, line: u8) {
         let turns = &self.turns[usize::from(line)];
         let turn = turns.given.get();
@@ -216,7 +220,8 @@ impl<'a, B: Bus> Exchange<'a, B> {
         }
     }
 
-    /// What `pick` finds among the frames that come on `line` within `limit_ns`; none if nothing came.
+    /// What `pick` finds among the frames that come on `line` within `limit_ns`; none if nothing
+    /// came.
     pub(in super::super) async fn expect<T>(
         &self,
         line: u8,
@@ -300,7 +305,8 @@ pub(in super::super) fn alone<B: Bus, T>(
 }
 
 impl<B: Bus> MonitoredBuses<B> {
-    /// The sequence of each of `axes`, side by side. The first error ends all of them, and so does what [`Self::judge`] will name.
+    /// The sequence of each of `axes`, side by side. The first error ends all of them, and so does
+    /// what [`Self::judge`] will name.
     pub(super) fn side_by_side<T>(
         &mut self,
         plan: &ArmPlan,

@@ -1,7 +1,8 @@
 //! Homing: control words as set-points with a SYNC, status words from the dictionary.
 //!
-//! An axis with an absolute encoder is homed where it stands (method 37): all these at the same time. One that has to move does so
-//! alone, by the drive's own homing sequence (CiA 402-2, clause 10), one axis after the other in the order of the plan.
+//! An axis with an absolute encoder is homed where it stands (method 37): all these at the same
+//! time. One that has to move does so alone, by the drive's own homing sequence (CiA 402-2, clause
+//! 10), one axis after the other in the order of the plan.
 
 use super::super::link::Bus;
 use super::super::plan::{ArmPlan, AxisNode, HomingPlan};
@@ -75,7 +76,8 @@ fn home<B: Bus>(
     set_cyclic_position(bus, plan, axes, &positions)
 }
 
-/// Lets go the drives of `axes`, which are at `positions` (counts) and whose homing is `complete` or was ended.
+/// Lets go the drives of `axes`, which are at `positions` (counts) and whose homing is `complete`
+/// or was ended.
 fn let_all_go<B: Bus>(
     bus: &mut MonitoredBuses<B>,
     plan: &ArmPlan,
@@ -111,7 +113,8 @@ struct Axis<'a, 'b, B> {
     plan: &'a ArmPlan,
     axis: usize,
     who: AxisNode,
-    /// Where it stood before, counts: the target position of its set-points, which no drive follows in this mode.
+    /// Where it stood before, counts: the target position of its set-points, which no drive follows
+    /// in this mode.
     position: u32,
 }
 
@@ -143,7 +146,8 @@ impl<'a, 'b, B: Bus> Axis<'a, 'b, B> {
         self.exchange.send(self.who.line, frame).await
     }
 
-    /// Writes the objects of the homing mode. Gives the position of the axis, and its home offset, none if it has no such object.
+    /// Writes the objects of the homing mode. Gives the position of the axis, and its home offset,
+    /// none if it has no such object.
     async fn prepare(&self) -> Result<(u32, Option<u32>), BringUpError> {
         let position = self.read_number(index::POSITION).await?;
         let home = match moving(self.plan, self.axis) {
@@ -159,7 +163,8 @@ impl<'a, 'b, B: Bus> Axis<'a, 'b, B> {
     async fn prepare_standing(&self, position: u32) -> Result<Option<u32>, BringUpError> {
         let offset = position.to_le_bytes();
         let home = match self.write(index::HOME_OFFSET, &offset).await {
-            // A drive without a home offset calls its reference zero, which is right if it stands there.
+            // A drive without a home offset calls its reference zero, which is right if it stands
+            // there.
             Err(BringUpError::Refused { code, .. })
                 if code == AbortCode::NO_OBJECT && position == 0 =>
             {
@@ -197,7 +202,8 @@ impl<'a, 'b, B: Bus> Axis<'a, 'b, B> {
         Ok(u32::from_le_bytes(home))
     }
 
-    /// Whether the drive offers `method`, by its list (60E3h); one without a list may, and refuses it when it is written.
+    /// Whether the drive offers `method`, by its list (60E3h); one without a list may, and refuses
+    /// it when it is written.
     async fn offers(&self, method: i8) -> Result<bool, BringUpError> {
         let list = index::HOMING_METHOD_COUNT;
         let count = match self.read_number(list).await {
@@ -215,7 +221,8 @@ impl<'a, 'b, B: Bus> Axis<'a, 'b, B> {
         Ok(false)
     }
 
-    /// Enables the drive and starts its homing: it is over when the drive has attained it and rests.
+    /// Enables the drive and starts its homing: it is over when the drive has attained it and
+    /// rests.
     async fn reference(&self) -> Result<(), BringUpError> {
         self.nmt(NmtCommand::Start).await?;
         for (command, state) in [

@@ -1,8 +1,10 @@
-//! What of a drive the safety of an arm depends on: the values that are written, and those that are accepted.
+//! What of a drive the safety of an arm depends on: the values that are written, and those that are
+//! accepted.
 //!
-//! A drive may have stored anything. Where it refuses a value, or keeps another one, what it has must be as safe; else there
-//! is no arm. Objects that CiA 402 leaves to the drive may be missing. Speeds and decelerations are in counts here, as the
-//! user-defined units of CiA 402 are if nothing else is defined; only 6080h is in turns of the motor a minute.
+//! A drive may have stored anything. Where it refuses a value, or keeps another one, what it has
+//! must be as safe; else there is no arm. Objects that CiA 402 leaves to the drive may be missing.
+//! Speeds and decelerations are in counts here, as the user-defined units of CiA 402 are if nothing
+//! else is defined; only 6080h is in turns of the motor a minute.
 
 use super::super::link::Bus;
 use super::super::plan::{ArmPlan, AxisPlan};
@@ -15,7 +17,8 @@ use crate::index;
 const QUICK_STOP: i64 = 3;
 /// Shutdown, disabling: ramp first.
 const RAMP: i64 = 1;
-/// Quick stop, fault reaction: fast ramp, then no voltage. A drive whose master is dead must not hold on for good.
+/// Quick stop, fault reaction: fast ramp, then no voltage. A drive whose master is dead must not
+/// hold on for good.
 const FAST_RAMP: i64 = 2;
 /// How long the following error window may be left, ms.
 const FOLLOWING_MS: i64 = 10;
@@ -133,8 +136,8 @@ fn limits(plan: &AxisPlan) -> [Setting; 9] {
     ]
 }
 
-/// Compares the counts of a motor turn, if the drive says so many: by them turns become counts, and a drive that counts otherwise
-/// would go to another place.
+/// Compares the counts of a motor turn, if the drive says so many: by them turns become counts, and
+/// a drive that counts otherwise would go to another place.
 async fn encoder<B: Bus>(to: &Writer<'_, '_, B>, plan: &AxisPlan) -> Result<(), BringUpError> {
     let node = to.node;
     let ask = async |address| match to.read_number(address).await {
@@ -167,7 +170,8 @@ async fn encoder<B: Bus>(to: &Writer<'_, '_, B>, plan: &AxisPlan) -> Result<(), 
     }
 }
 
-/// Writes the wanted value or, if the drive refuses it, the other end of the allowed range, and reads it back.
+/// Writes the wanted value or, if the drive refuses it, the other end of the allowed range, and
+/// reads it back.
 pub(super) async fn keep<B: Bus>(
     to: &Writer<'_, '_, B>,
     setting: &Setting,
@@ -202,8 +206,8 @@ pub(super) async fn keep<B: Bus>(
     })
 }
 
-/// Emergencies come under the identifier that CiA 301 gives them, or the master would not receive them, and at once: no later than a cycle
-/// after the one before.
+/// Emergencies come under the identifier that CiA 301 gives them, or the master would not receive
+/// them, and at once: no later than a cycle after the one before.
 async fn emergencies<B: Bus>(to: &Writer<'_, '_, B>, cycle_ns: u64) -> Result<(), BringUpError> {
     let address = index::EMERGENCY_COB;
     let wanted = i64::from(Cob::Emergency(to.node).id().raw());

@@ -10,7 +10,8 @@ use crate::cia301::{Cob, Emergency, NmtState};
 use crate::{Frame, NodeId};
 use hal::tail::TAIL_AXES;
 
-/// What bring-up is at. All nodes are set up at the same time, and so are axes homed that do not move for it.
+/// What bring-up is at. All nodes are set up at the same time, and so are axes homed that do not
+/// move for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
     /// Nodes are reset and asked who they are.
@@ -46,11 +47,13 @@ impl Step {
         }
     }
 
-    /// Why `frame`, which came on `line`, ends the bring-up, if it is what a node of `plan` may not say in this step.
+    /// Why `frame`, which came on `line`, ends the bring-up, if it is what a node of `plan` may not
+    /// say in this step.
     ///
-    /// A reset undoes settings, so from the first one on no node boots up any more. Emergencies of the time before a node was
-    /// `set_up` are its own: of the master that it lost by our reset, of a supply that was not there yet. That an error is gone is no
-    /// error. But of two nodes with one number nothing that either sends can be believed, whenever it comes.
+    /// A reset undoes settings, so from the first one on no node boots up any more. Emergencies of
+    /// the time before a node was `set_up` are its own: of the master that it lost by our reset, of
+    /// a supply that was not there yet. That an error is gone is no error. But of two nodes with
+    /// one number nothing that either sends can be believed, whenever it comes.
     pub(super) fn upset(
         self,
         plan: &ArmPlan,

@@ -1,5 +1,5 @@
-//! The buses during bring-up, monitored: no second master may command the drives then either, and what was set up has to
-//! stay so.
+//! The buses during bring-up, monitored: no second master may command the drives then either, and
+//! what was set up has to stay so.
 
 use std::sync::mpsc::Sender;
 
@@ -14,7 +14,8 @@ use crate::cia301::{NmtCommand, NmtTarget};
 use hal::TimeNs;
 use hal::tail::TAIL_AXES;
 
-/// How often a bus is looked at for what came before bring-up: one that is never silent ends that, too.
+/// How often a bus is looked at for what came before bring-up: one that is never silent ends that,
+/// too.
 const LOOKS_MAX: u32 = 16;
 
 /// Buses, and the events received on them that end the bring-up.
@@ -60,7 +61,8 @@ impl<B: Bus> MonitoredBuses<B> {
         self.passive.get(usize::from(line)) == Some(&true)
     }
 
-    /// Notes what bring-up is at from now on. What came before, on whatever bus, is judged by what it was at then.
+    /// Notes what bring-up is at from now on. What came before, on whatever bus, is judged by what
+    /// it was at then.
     pub(super) fn enter(&mut self, step: Step) -> Result<(), BringUpError> {
         self.drain()?;
         self.step = step;
@@ -74,8 +76,9 @@ impl<B: Bus> MonitoredBuses<B> {
         Ok(())
     }
 
-    /// What a step came to, unless a second master commands our drives or one is no more as it was set up: whatever it came to, that
-    /// is the cause, and all nodes that we have begun to set up are stopped.
+    /// What a step came to, unless a second master commands our drives or one is no more as it was
+    /// set up: whatever it came to, that is the cause, and all nodes that we have begun to set up
+    /// are stopped.
     pub(super) fn judge<T>(&mut self, step: Result<T, BringUpError>) -> Result<T, BringUpError> {
         let foreign = self.foreign.map(|(line, frame)| {
             // Who leads our drives is the cause of what happens to them.
@@ -102,16 +105,17 @@ impl<B: Bus> MonitoredBuses<B> {
         self.set_up[axis] = true;
     }
 
-    /// Tells every node to stop: it hears no set-points then, and its drive does what 6007h says. A node whose bus has no room
-    /// in time does not hear it; the others do.
+    /// Tells every node to stop: it hears no set-points then, and its drive does what 6007h says. A
+    /// node whose bus has no room in time does not hear it; the others do.
     pub(super) fn stop(&mut self) {
         for (line, stop) in stops(&self.plan) {
             let _ = send(&mut self.bus, line, stop);
         }
     }
 
-    /// Takes what came before bring-up began. What had become of our controllers then is over if they are back; one that has
-    /// left its bus and was not heard to be back, or whose interface was down, ends it.
+    /// Takes what came before bring-up began. What had become of our controllers then is over if
+    /// they are back; one that has left its bus and was not heard to be back, or whose interface
+    /// was down, ends it.
     pub(super) fn catch_up(&mut self) -> Result<(), BringUpError> {
         for line in 0..self.plan.lines {
             let (mut off, mut down) = (false, false);
@@ -153,7 +157,8 @@ impl<B: Bus> Bus for MonitoredBuses<B> {
         self.bus.now()
     }
 
-    /// Once a second master commands our drives nothing goes out any more, and what waits for an answer gets none.
+    /// Once a second master commands our drives nothing goes out any more, and what waits for an
+    /// answer gets none.
     fn send(&mut self, line: u8, frames: &[Frame]) -> usize {
         if self.foreign.is_some() {
             return frames.len();
@@ -162,7 +167,8 @@ impl<B: Bus> Bus for MonitoredBuses<B> {
         self.bus.send(line, frames)
     }
 
-    /// Whoever leads our drives is kept from it at once and not only when the step is judged: one may have torque.
+    /// Whoever leads our drives is kept from it at once and not only when the step is judged: one
+    /// may have torque.
     fn receive(&mut self, line: u8, sink: &mut dyn FnMut(Received)) {
         let was_alone = self.foreign.is_none();
         let Self {

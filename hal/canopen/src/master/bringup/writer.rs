@@ -70,14 +70,15 @@ impl<B: Bus> Writer<'_, '_, B> {
         }
     }
 
-    /// Takes a PDO out of use, whatever identifier it has; tells whether there is one. `record` is its sub-index 01h.
+    /// Takes a PDO out of use, whatever identifier it has; tells whether there is one. `record` is
+    /// its sub-index 01h.
     pub(super) async fn switch_off(&self, record: Address) -> Result<bool, BringUpError> {
         self.bits(record, INVALID, INVALID).await
     }
 
-    /// Gives the bits `mask` of a COB-ID the value that they have in `wanted`, and no other bit another one: while it is in use
-    /// those may not change. What a drive makes of them thereafter is its own; they mean nothing then. Tells whether there is
-    /// such an object.
+    /// Gives the bits `mask` of a COB-ID the value that they have in `wanted`, and no other bit
+    /// another one: while it is in use those may not change. What a drive makes of them thereafter
+    /// is its own; they mean nothing then. Tells whether there is such an object.
     pub(super) async fn bits(
         &self,
         address: Address,

@@ -26,7 +26,8 @@ fn shipped_bus_carries_one_arm_at_500_hz() {
     assert_eq!(insertion.settings().range.1, whole_i32(0.240 * 771_430.4));
 }
 
-/// A drive's range ends at the last counts before the stops, and no set-point goes further, whichever way the encoder counts.
+/// A drive's range ends at the last counts before the stops, and no set-point goes further,
+/// whichever way the encoder counts.
 #[test]
 fn limits_and_set_points_end_before_the_stops() {
     let shipped = CanConfig::load(&CanConfig::shipped()).unwrap();

@@ -25,10 +25,11 @@ enum Urgency {
 }
 
 impl Cycle {
-    /// The set-points for the drives on `line`, in the order of the axes. After a fault those that stop a drive that still
-    /// follows come first, and of these the ones that found room least often: what a drive makes of a stop is heard a cycle after
-    /// it was sent, and until then the others go before. Then come those for drives that brake, and last those for drives of
-    /// which nothing is heard: a queue with little room takes only the first ones.
+    /// The set-points for the drives on `line`, in the order of the axes. After a fault those that
+    /// stop a drive that still follows come first, and of these the ones that found room least
+    /// often: what a drive makes of a stop is heard a cycle after it was sent, and until then the
+    /// others go before. Then come those for drives that brake, and last those for drives of which
+    /// nothing is heard: a queue with little room takes only the first ones.
     pub fn commands(&mut self, now: TimeNs, line: u8, out: &mut Outbox) {
         let together = self.together();
         let mut order: [usize; TAIL_AXES] = core::array::from_fn(|n| n);

@@ -1,4 +1,5 @@
-//! The judgement at the end of a cycle, and what it says of the arm. Hot path: bounded, no allocation, no I/O, no lock.
+//! The judgement at the end of a cycle, and what it says of the arm. Hot path: bounded, no
+//! allocation, no I/O, no lock.
 
 use super::super::fault::Fault;
 use super::super::space::Axes;
@@ -12,11 +13,12 @@ use hal::tail::TAIL_AXES;
 use hal::{ArmError, ArmState, JOINT_COUNT, JointVector, TICK_NS, TimeNs};
 
 impl Cycle {
-    /// Ends the newest period: ages, heartbeats, and what the drives said. Decides whether the next one is a pause.
+    /// Ends the newest period: ages, heartbeats, and what the drives said. Decides whether the next
+    /// one is a pause.
     ///
-    /// A PDO carries no sequence number, so after a missing answer the next one may be the missing one, late, and so may all
-    /// after it. Then a SYNC is left out, which drives bridge: what comes without one is late, and if nothing comes the
-    /// answers are in step again.
+    /// A PDO carries no sequence number, so after a missing answer the next one may be the missing
+    /// one, late, and so may all after it. Then a SYNC is left out, which drives bridge: what comes
+    /// without one is late, and if nothing comes the answers are in step again.
     pub fn judge(&mut self, now: TimeNs) {
         self.judge_sending(now);
         if self.sync.is_none() {
@@ -28,8 +30,8 @@ impl Cycle {
             self.judge_presence(n, now);
             self.judge_drive(n, now);
         }
-        // Drives that are to stop get their SYNC whatever they answer, and so do those that have waited for one long enough,
-        // as after a stall.
+        // Drives that are to stop get their SYNC whatever they answer, and so do those that have
+        // waited for one long enough, as after a stall.
         let waited_ns = self.sync.map_or(0, |sync| now.since(sync));
         let patient = 2 * waited_ns <= u64::from(2 * PAUSES_MAX + 1) * self.plan.cycle_ns;
         self.pause = asks && patient && self.pauses < PAUSES_MAX && self.fault.is_none();
@@ -38,7 +40,8 @@ impl Cycle {
         }
     }
 
-    /// Counts the answers of the axis `n` in the period that ends; whether a pause would tell which SYNC they belong to.
+    /// Counts the answers of the axis `n` in the period that ends; whether a pause would tell which
+    /// SYNC they belong to.
     fn end_period(&mut self, n: usize) -> bool {
         let axis = &mut self.axes[n];
         let asks = if self.pauses == 0 {
@@ -131,7 +134,8 @@ impl Cycle {
     /// An axis whose answer is missing for a cycle or two is where it was going.
     ///
     /// # Errors
-    /// [`ArmError`] for a fault, or when answers are missing for [`LOST_AFTER`] cycles or set-points cannot be sent.
+    /// [`ArmError`] for a fault, or when answers are missing for [`LOST_AFTER`] cycles or
+    /// set-points cannot be sent.
     pub fn state(&self, now: TimeNs) -> Result<ArmState, ArmError> {
         if let Some(fault) = self.fault() {
             return Err(fault.arm_error());
@@ -175,8 +179,8 @@ impl Cycle {
         })
     }
 
-    /// Whether a period is over at `now`: a quarter of a cycle early at most, and less than a control period, or a controller
-    /// that is faster than the bus would make the bus faster.
+    /// Whether a period is over at `now`: a quarter of a cycle early at most, and less than a
+    /// control period, or a controller that is faster than the bus would make the bus faster.
     #[must_use]
     pub fn is_due(&self, now: TimeNs) -> bool {
         let early_ns = (self.plan.cycle_ns / 4).min(TICK_NS / 2);

@@ -1,4 +1,5 @@
-//! The begin of a period: SYNC, heartbeat, NMT stop, and what of it was handed to the buses. Hot path: bounded, no allocation, no I/O, no lock.
+//! The begin of a period: SYNC, heartbeat, NMT stop, and what of it was handed to the buses. Hot
+//! path: bounded, no allocation, no I/O, no lock.
 
 use super::{Axis, Cycle, SILENT_AFTER};
 use crate::cia301::nmt::NmtView;
@@ -9,7 +10,8 @@ use hal::TimeNs;
 use hal::tail::TAIL_AXES;
 
 impl Cycle {
-    /// Begins the period at `now`: with a SYNC, which puts the set-points that were sent into effect, or as a pause.
+    /// Begins the period at `now`: with a SYNC, which puts the set-points that were sent into
+    /// effect, or as a pause.
     pub fn begin(&mut self, now: TimeNs) {
         self.began = Some(now);
         self.time_heartbeat(now);
@@ -42,18 +44,21 @@ impl Cycle {
         }
     }
 
-    /// The commands that stop nodes on `line`, in this period, where set-points do not stop their drives.
+    /// The commands that stop nodes on `line`, in this period, where set-points do not stop their
+    /// drives.
     ///
-    /// Where a second master commands our drives, all of them: of two set-points before a SYNC the later one counts, so ours could
-    /// not stop a drive that another node goes on to command; a stopped node hears none, and its drive does what 6007h says.
-    /// (That holds for NMT stopped and not for pre-operational, see CiA 402-2.) After any other fault, those that hear no
-    /// set-points or may not: a node that went pre-operational by itself keeps the torque of its drive for as long as it hears
-    /// our heartbeat.
+    /// Where a second master commands our drives, all of them: of two set-points before a SYNC the
+    /// later one counts, so ours could not stop a drive that another node goes on to command; a
+    /// stopped node hears none, and its drive does what 6007h says. (That holds for NMT stopped and
+    /// not for pre-operational, see CiA 402-2.) After any other fault, those that hear no
+    /// set-points or may not: a node that went pre-operational by itself keeps the torque of its
+    /// drive for as long as it hears our heartbeat.
     ///
-    /// They go after the SYNC, or a quick stop that is to come into effect with it would be lost, and before any set-points: on a
-    /// bus that a stranger's SYNCs have filled with answers those wait, and so does all behind them. First come those that found
-    /// room least often: another node may start a node again that we have stopped, so each is sent NMT stop in every cycle, and in a
-    /// short queue the last ones would never be.
+    /// They go after the SYNC, or a quick stop that is to come into effect with it would be lost,
+    /// and before any set-points: on a bus that a stranger's SYNCs have filled with answers those
+    /// wait, and so does all behind them. First come those that found room least often: another
+    /// node may start a node again that we have stopped, so each is sent NMT stop in every cycle,
+    /// and in a short queue the last ones would never be.
     pub fn stop_nodes(&self, line: u8, out: &mut Outbox) {
         let mut order: [usize; TAIL_AXES] = core::array::from_fn(|n| n);
         order.sort_unstable_by_key(|&n| (self.axes[n].nmt_stops_sent, n));
@@ -66,8 +71,9 @@ impl Cycle {
         }
     }
 
-    /// What begins this period, the same for every bus: SYNC unless it is a pause, and the own heartbeat if it is due. Where
-    /// a second master commands our drives there is none: they miss it and stop, should they not hear [`Self::stop_nodes`].
+    /// What begins this period, the same for every bus: SYNC unless it is a pause, and the own
+    /// heartbeat if it is due. Where a second master commands our drives there is none: they miss
+    /// it and stop, should they not hear [`Self::stop_nodes`].
     pub fn emit_sync(&self, out: &mut Outbox) {
         let sync = Sync::counted(self.counter)
             .filter(|_| self.plan.sync_counter != 0)
@@ -120,12 +126,14 @@ impl Cycle {
     }
 }
 
-/// After how many cycles a node that sends nothing is sent NMT stop again: one without power never answers, and in a queue with
-/// little room the quick stops of the others need the place. More than there are axes, so that each has a cycle of its own.
+/// After how many cycles a node that sends nothing is sent NMT stop again: one without power never
+/// answers, and in a queue with little room the quick stops of the others need the place. More than
+/// there are axes, so that each has a cycle of its own.
 const STOP_AGAIN: u32 = 8;
 
-/// Whether the node of the axis at `place` is to be sent NMT stop: it hears no set-points, as it says itself, or may not, since
-/// nothing usable has come from it for too long. One that says that it is stopped has heard that already.
+/// Whether the node of the axis at `place` is to be sent NMT stop: it hears no set-points, as it
+/// says itself, or may not, since nothing usable has come from it for too long. One that says that
+/// it is stopped has heard that already.
 fn hears_no_set_points(axis: &Axis, place: usize) -> bool {
     match axis.nmt_state {
         Some(NmtState::PreOperational | NmtState::BootUp) => true,

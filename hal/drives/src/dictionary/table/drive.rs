@@ -62,8 +62,9 @@ fn pair(index: u16, name: &str, access: Access) -> Object {
     several(index, name, Shape::Array, subs)
 }
 
-/// 6062h to 608Fh: positions, limits and decelerations. Positions are counts of the encoder; speeds are counts/s and decelerations
-/// counts/s², but for 6080h, which is in turns of the motor a minute.
+/// 6062h to 608Fh: positions, limits and decelerations. Positions are counts of the encoder; speeds
+/// are counts/s and decelerations counts/s², but for 6080h, which is in turns of the motor a
+/// minute.
 fn motion() -> Vec<Object> {
     vec![
         sent(0x6062, "Position demand value", I32),

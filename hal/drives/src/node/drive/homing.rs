@@ -1,7 +1,9 @@
-//! Homing: where the axis stands (methods 35 and 37), or at a limit switch (method 17 the negative one, 18 the positive one).
+//! Homing: where the axis stands (methods 35 and 37), or at a limit switch (method 17 the negative
+//! one, 18 the positive one).
 //!
-//! CiA 402-2, clause 10. A limit switch is active where the range of the encoder ends. The drive moves to it at the first homing
-//! speed, away from it at the second, and its home point is where the switch is no longer active.
+//! CiA 402-2, clause 10. A limit switch is active where the range of the encoder ends. The drive
+//! moves to it at the first homing speed, away from it at the second, and its home point is where
+//! the switch is no longer active.
 
 use super::super::motion::Motion;
 use super::{AtRest, Drive, speed_max};
@@ -130,7 +132,8 @@ impl Drive {
         self.search = Some(search);
     }
 
-    /// Whether the negative and the positive limit switch are active: at the ends of the encoder's range, whatever the home offset.
+    /// Whether the negative and the positive limit switch are active: at the ends of the encoder's
+    /// range, whatever the home offset.
     pub(super) fn limit_switches(&self, dictionary: &Dictionary) -> [bool; 2] {
         let position = self.feedback.position_counts;
         [

@@ -15,7 +15,8 @@ impl Drive {
         self.motion.at(now).0 - self.actual()
     }
 
-    /// Whether the following error is beyond its window (6065h), and has been for longer than 6066h.
+    /// Whether the following error is beyond its window (6065h), and has been for longer than
+    /// 6066h.
     fn deviates(&self, now: TimeNs, dictionary: &Dictionary) -> bool {
         let window = dictionary.get(index::FOLLOWING_WINDOW);
         self.state.has_torque()

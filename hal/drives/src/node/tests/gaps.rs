@@ -12,8 +12,9 @@ fn watch(bench: &mut Bench, half_ms: u64) -> Vec<f64> {
         .collect()
 }
 
-/// Leaves out `count` SYNCs of a drive that moves at 100 counts a millisecond, while its set-points go on. Gives where it was
-/// in every half millisecond of the gap, from the last SYNC before it, and the newest target.
+/// Leaves out `count` SYNCs of a drive that moves at 100 counts a millisecond, while its set-points
+/// go on. Gives where it was in every half millisecond of the gap, from the last SYNC before it,
+/// and the newest target.
 fn gap(bench: &mut Bench, count: u64, mut target: i32) -> (Vec<f64>, i32) {
     let mut way = Vec::new();
     target += 100;
@@ -31,7 +32,8 @@ fn gap(bench: &mut Bench, count: u64, mut target: i32) -> (Vec<f64>, i32) {
 /// A drive bridges three SYNCs that are left out brakes meanwhile and catches up.
 #[test]
 fn drive_bridges_three_missing_syncs_and_catches_up() {
-    // The way of the last half millisecond: a quick stop of 50 counts/ms^2 begins after two periods and takes 2 ms.
+    // The way of the last half millisecond: a quick stop of 50 counts/ms^2 begins after two periods
+    // and takes 2 ms.
     for (count, last_step) in [(1, 50.0), (2, 31.25), (3, 6.25)] {
         let (mut bench, target) = Bench::moving();
         let start = bench.position();

@@ -116,7 +116,8 @@ impl Bench {
         }
     }
 
-    /// The reference's example: controlword and target in, statusword, position and torque out, each SYNC.
+    /// The reference's example: controlword and target in, statusword, position and torque out,
+    /// each SYNC.
     fn map_cyclic(&mut self) {
         let u32s = |value: u32| value.to_le_bytes();
         for (index, sub, value) in [

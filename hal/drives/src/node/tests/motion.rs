@@ -275,7 +275,8 @@ fn homing_makes_the_present_position_the_home_offset() {
     assert!(bench.position().abs() < 1e-6);
 }
 
-/// Methods 17 and 18, with the bits that CiA 402-2 gives the status word: neither attained nor reached on the way, both at the end.
+/// Methods 17 and 18, with the bits that CiA 402-2 gives the status word: neither attained nor
+/// reached on the way, both at the end.
 #[test]
 fn homing_finds_the_end_of_a_limit_switch() {
     for (method, end) in [(17, -1_000_000.0), (18, 1_000_000.0)] {

@@ -177,8 +177,9 @@ fn event_tpdos_keep_inhibit_and_event_time() {
     assert_eq!(bench.said_by(0x185).len(), 6, "every 50 ms");
 }
 
-/// Bit 30 of a TPDO's COB-ID (no remote frames) may be clear, as Lely's dcfgen writes it, or set, as our master does, and may change while the
-/// PDO is valid; CiA 301 fixes bits 0 to 29 meanwhile. The drive sends the same frames either way.
+/// Bit 30 of a TPDO's COB-ID (no remote frames) may be clear, as Lely's dcfgen writes it, or set,
+/// as our master does, and may change while the PDO is valid; CiA 301 fixes bits 0 to 29 meanwhile.
+/// The drive sends the same frames either way.
 #[test]
 fn tpdo_cob_id_is_taken_with_bit_30_clear_and_set() {
     const NO_RTR: u32 = 1 << 30;

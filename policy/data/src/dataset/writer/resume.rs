@@ -18,17 +18,20 @@ use crate::dataset::{
 };
 
 impl DatasetWriter {
-    /// Goes on with the recording in `dir`, behind its last finished episode; what a cut episode left is dropped.
+    /// Goes on with the recording in `dir`, behind its last finished episode; what a cut episode
+    /// left is dropped.
     ///
-    /// The result is the same, byte for byte, as if there had been no break, but for the statistics of cameras that are kept as
-    /// video: those of the frames that were there before are counted from what the video shows of them, which is close to what
-    /// was recorded and not the same. Every tenth image is decoded for them, which takes its time in a large dataset.
+    /// The result is the same, byte for byte, as if there had been no break, but for the statistics
+    /// of cameras that are kept as video: those of the frames that were there before are counted
+    /// from what the video shows of them, which is close to what was recorded and not the same.
+    /// Every tenth image is decoded for them, which takes its time in a large dataset.
     ///
     /// # Errors
-    /// [`DatasetError::NoRecording`] if there is none; [`DatasetError::Differs`] if it was recorded to another specification or
-    /// with another codec, naming the first part that differs; [`DatasetError::Busy`] while another writer is at it; those of
-    /// [`Dataset::open`] and [`Dataset::image_rgb`] if what is there is damaged; [`DatasetError::Mismatch`] if its files lie
-    /// otherwise than this writer lays them. Nothing is changed then.
+    /// [`DatasetError::NoRecording`] if there is none; [`DatasetError::Differs`] if it was recorded
+    /// to another specification or with another codec, naming the first part that differs;
+    /// [`DatasetError::Busy`] while another writer is at it; those of [`Dataset::open`] and
+    /// [`Dataset::image_rgb`] if what is there is damaged; [`DatasetError::Mismatch`] if its files
+    /// lie otherwise than this writer lays them. Nothing is changed then.
     pub fn resume(
         dir: &Path,
         spec: &DatasetSpec,
@@ -103,7 +106,8 @@ fn arm_frame(dataset: &Dataset, place: usize, arm: usize) -> ArmFrame {
     }
 }
 
-/// The finished episodes of the dataset in `dir`, each of which must have its files where this writer puts them.
+/// The finished episodes of the dataset in `dir`, each of which must have its files where this
+/// writer puts them.
 fn listed(dir: &Path, info: &Info) -> Result<Vec<Listed>, DatasetError> {
     let videos = video_features(info);
     let mut listed = layout::read_episodes(dir, info, &videos)?;
@@ -211,7 +215,8 @@ fn colour(feature: &Feature) -> String {
     }
 }
 
-/// Takes away the files of episodes that are not among the first `episodes`, and files that were never whole.
+/// Takes away the files of episodes that are not among the first `episodes`, and files that were
+/// never whole.
 fn drop_leftovers(dir: &Path, episodes: usize) -> Result<(), DatasetError> {
     let is_partial = |path: &Path| path.extension().is_some_and(|it| it == "partial");
     let is_beyond = |path: &Path| number(path).is_some_and(|number| number >= episodes);

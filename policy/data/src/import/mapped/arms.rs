@@ -1,4 +1,5 @@
-//! The numbers of an episode's arms by a mapping: checked, brought to metres, radians and the arm's RCM frame.
+//! The numbers of an episode's arms by a mapping: checked, brought to metres, radians and the arm's
+//! RCM frame.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +17,8 @@ use crate::dataset::ArmFrame;
 
 /// By how much the length of a quaternion may differ from 1.
 const UNIT_TOLERANCE: f64 = 1e-3;
-/// How far a commanded tip can be from the measured one, m: beyond, it is no absolute command of this arm.
+/// How far a commanded tip can be from the measured one, m: beyond, it is no absolute command of
+/// this arm.
 const COMMAND_AWAY_MAX_M: f64 = 0.1;
 
 /// Furthest that a command may be turned from the measured tip, rad: a quarter turn.
@@ -25,7 +27,8 @@ const COMMAND_TURNED_MAX_RAD: f64 = std::f64::consts::FRAC_PI_2;
 /// The frames of one episode, a list a step with the arms in it.
 pub(super) type ArmFrames = Vec<Vec<ArmFrame>>;
 
-/// Reads and checks an episode's arms. `arms` are those of the mapping that the first episode has; see [`arms_of`].
+/// Reads and checks an episode's arms. `arms` are those of the mapping that the first episode has;
+/// see [`arms_of`].
 ///
 /// # Errors
 /// An [`ImportError`] with the file, the episode, the mapping's key, the arm and the step.

@@ -10,10 +10,12 @@ use super::recordings::Numbers;
 /// Bytes that a table may have.
 const SIZE_MAX: u64 = 1 << 30;
 
-/// Reads the table at `path`; columns that hold no numbers are NaN, which is refused where one is wanted.
+/// Reads the table at `path`; columns that hold no numbers are NaN, which is refused where one is
+/// wanted.
 ///
 /// # Errors
-/// [`ImportError::Io`]; [`ImportError::Mismatch`] for a row of another length, or a table without rows.
+/// [`ImportError::Io`]; [`ImportError::Mismatch`] for a row of another length, or a table without
+/// rows.
 pub(super) fn read_table(path: &Path) -> Result<Numbers, ImportError> {
     let io_error = |source| ImportError::Io {
         path: path.to_owned(),

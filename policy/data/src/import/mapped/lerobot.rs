@@ -10,7 +10,8 @@ use crate::dataset::DatasetError;
 use crate::dataset::foreign::Foreign;
 use crate::dataset::schema::TIMESTAMP;
 
-/// By how much the mean spacing of an episode's timestamps may differ from what the dataset's rate says.
+/// By how much the mean spacing of an episode's timestamps may differ from what the dataset's rate
+/// says.
 const SPACING_TOLERANCE: f64 = 0.2;
 /// Times above this are of a clock, not of an episode, and as `f32` they say nothing, s.
 const CLOCK_S: f64 = 1e6;
@@ -47,7 +48,8 @@ impl LerobotRecordings {
         Ok((recordings, chosen))
     }
 
-    /// The times in the rows must be those of the rate that `info.json` says, where they are an episode's at all.
+    /// The times in the rows must be those of the rate that `info.json` says, where they are an
+    /// episode's at all.
     fn check_rate(&mut self, episode: usize) -> Result<(), ImportError> {
         if !self.dataset.has(TIMESTAMP) {
             return Ok(());

@@ -1,4 +1,5 @@
-//! The table of names: which numbers of a foreign dataset are an arm's poses, jaw and commands, and in which units.
+//! The table of names: which numbers of a foreign dataset are an arm's poses, jaw and commands, and
+//! in which units.
 
 use hal::config::{ConfigError, Source};
 use hal::psm::DEGREE;

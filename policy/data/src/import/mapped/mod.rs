@@ -1,8 +1,10 @@
-//! Any LeRobot dataset, or a dVRK's raw recordings, by a table of names: into a dataset of this robot.
+//! Any LeRobot dataset, or a dVRK's raw recordings, by a table of names: into a dataset of this
+//! robot.
 //!
-//! A [`Mapping`] says which numbers give each arm's pose, jaw and command, in which units and which frame. Joints that
-//! the source lacks are computed from the poses by the arm's inverse kinematics, so that a pose that the arm can't take is found. All
-//! numbers of all episodes are looked at before the first is written.
+//! A [`Mapping`] says which numbers give each arm's pose, jaw and command, in which units and which
+//! frame. Joints that the source lacks are computed from the poses by the arm's inverse kinematics,
+//! so that a pose that the arm can't take is found. All numbers of all episodes are looked at
+//! before the first is written.
 
 mod arms;
 mod csv;
@@ -46,13 +48,15 @@ pub struct ImportRequest {
     pub source: PathBuf,
     /// The dataset's folder; a new or an empty one.
     pub out: PathBuf,
-    /// What the demonstrations show in words; the source's instruction if not given, which must then be one.
+    /// What the demonstrations show in words; the source's instruction if not given, which must
+    /// then be one.
     pub task: Option<String>,
     /// Only the episodes of this split; all but those of `failure` if not given.
     pub split: Option<String>,
     /// Frames a second of raw recordings; by their timestamps if not given.
     pub fps: Option<u32>,
-    /// Width and height that frames are brought to, pixels, each 1 to [`SIDE_MAX`](crate::dataset::SIDE_MAX).
+    /// Width and height that frames are brought to, pixels, each 1 to
+    /// [`SIDE_MAX`](crate::dataset::SIDE_MAX).
     pub size: Option<(u32, u32)>,
     /// Keep colour as video.
     pub video: Option<VideoCodec>,
@@ -79,12 +83,13 @@ pub struct MappedSummary {
     pub instructions: Vec<String>,
 }
 
-/// Writes the episodes of `request.source` as the dataset `request.out`. After each `done` gets the number of
-/// episodes so far and of all.
+/// Writes the episodes of `request.source` as the dataset `request.out`. After each `done` gets the
+/// number of episodes so far and of all.
 ///
 /// # Errors
-/// An [`ImportError`] that names the file, the episode, the mapping's key, the step and what would do. Every number is looked at before
-/// anything is written; after a frame that can't be read the episodes before it stay.
+/// An [`ImportError`] that names the file, the episode, the mapping's key, the step and what would
+/// do. Every number is looked at before anything is written; after a frame that can't be read the
+/// episodes before it stay.
 pub fn import_mapped(
     request: &ImportRequest,
     done: &mut dyn FnMut(usize, usize),
@@ -255,7 +260,8 @@ impl Survey {
     }
 }
 
-/// Whether an episode with this label is in the split that is requested; without one, all but failures are.
+/// Whether an episode with this label is in the split that is requested; without one, all but
+/// failures are.
 fn is_wanted(
     request: &ImportRequest,
     recordings: &mut dyn Recordings,

@@ -117,7 +117,8 @@ impl RawRecordings {
     }
 }
 
-/// Those of the mapping's `cameras` that the episode in `folder` has: all but optional ones whose folder is missing.
+/// Those of the mapping's `cameras` that the episode in `folder` has: all but optional ones whose
+/// folder is missing.
 fn cameras_in(folder: &Path, cameras: &[CameraMapping]) -> Result<Vec<CameraMapping>, ImportError> {
     let there = |camera: &&CameraMapping| !camera.optional || folder.join(&camera.feature).is_dir();
     let found: Vec<CameraMapping> = cameras.iter().filter(there).cloned().collect();
@@ -156,7 +157,8 @@ impl Episode {
     }
 }
 
-/// An episode with `rows` rows in the table `path` and other numbers of images, each with its camera's folder.
+/// An episode with `rows` rows in the table `path` and other numbers of images, each with its
+/// camera's folder.
 fn uneven<'a>(
     path: &Path,
     rows: usize,

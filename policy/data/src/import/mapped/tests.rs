@@ -1,4 +1,5 @@
-//! Datasets of others by a table of names: what comes in is what was there, and what can't be meant is refused by name.
+//! Datasets of others by a table of names: what comes in is what was there, and what can't be meant
+//! is refused by name.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -54,7 +55,8 @@ fn assert_same(found: &Dataset, meant: &Dataset) {
     }
 }
 
-/// What is exported in Open-H's form and imported again is what it was, joints by inverse kinematics included.
+/// What is exported in Open-H's form and imported again is what it was, joints by inverse
+/// kinematics included.
 #[test]
 fn open_h_round_trip_keeps_every_number() {
     for arms in [1, 2] {
@@ -97,7 +99,8 @@ fn open_h_round_trip_keeps_every_number() {
     }
 }
 
-/// Millimetres, degrees, w first, indices in place of names, a tool tip, and another frame than the arm's.
+/// Millimetres, degrees, w first, indices in place of names, a tool tip, and another frame than the
+/// arm's.
 #[test]
 fn units_order_frame_and_tool_tip_are_the_mappings() {
     let folder = Folder::new("units");
@@ -187,7 +190,8 @@ fn joints_are_taken_and_poses_follow() {
     }
 }
 
-/// Failures that are exported stay behind on the way back unless they are asked for, and then they are what they were.
+/// Failures that are exported stay behind on the way back unless they are asked for, and then they
+/// are what they were.
 #[test]
 fn failures_go_out_and_come_in() {
     let folder = Folder::new("failures");
@@ -220,7 +224,8 @@ fn failures_go_out_and_come_in() {
     }
 }
 
-/// Episodes of the split failure stay behind unless asked for; recoveries are noted; several instructions need one text.
+/// Episodes of the split failure stay behind unless asked for; recoveries are noted; several
+/// instructions need one text.
 #[test]
 fn splits_and_instructions_are_heeded() {
     let folder = Folder::new("splits");

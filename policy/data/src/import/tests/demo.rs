@@ -1,4 +1,5 @@
-//! Demonstrations whose every number is known: as h5py wrote them (`policy/data/tests/hdf5`, made by the lines below), and made here.
+//! Demonstrations whose every number is known: as h5py wrote them (`policy/data/tests/hdf5`, made
+//! by the lines below), and made here.
 //!
 //! ```python
 //! def joints(steps, arms, lag=0):

@@ -25,7 +25,8 @@ pub(super) fn pose() -> Pose {
     Pose::from_parts(Translation3::from(position), rotation)
 }
 
-/// Camera and direction, in the scene, of the ray through the middle of a pixel; the direction has z = 1 in the camera.
+/// Camera and direction, in the scene, of the ray through the middle of a pixel; the direction has
+/// z = 1 in the camera.
 fn ray(
     lens: &Intrinsics,
     camera_in_scene: &Pose,

@@ -1,4 +1,5 @@
-//! What the perception promises, against geometry worked out here in double precision and against the plain algorithms.
+//! What the perception promises, against geometry worked out here in double precision and against
+//! the plain algorithms.
 
 mod drawn;
 mod frames;

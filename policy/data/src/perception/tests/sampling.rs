@@ -11,7 +11,8 @@ fn squared(a: &Point, b: &Point) -> f32 {
     (x * x + y * y) + z * z
 }
 
-/// The plain algorithm: every point's distance is updated in every round, and the first maximum wins.
+/// The plain algorithm: every point's distance is updated in every round, and the first maximum
+/// wins.
 fn plain(points: &[Point], count: usize) -> Vec<usize> {
     let mut nearest = vec![f32::INFINITY; points.len()];
     let mut taken = vec![0];

@@ -16,7 +16,8 @@ pub(super) enum FoldedBackbone {
 }
 
 impl FoldedBackbone {
-    /// For images of `sides`, height and width. Where not all normalisations are fixed the library computes.
+    /// For images of `sides`, height and width. Where not all normalisations are fixed the library
+    /// computes.
     pub(super) fn new(
         backbone: &ResNet18,
         sides: [usize; 2],
@@ -41,7 +42,8 @@ impl FoldedBackbone {
     }
 }
 
-/// The backbone in the network library's convolutions: wherever it computes, in whatever precision, with any normalisation.
+/// The backbone in the network library's convolutions: wherever it computes, in whatever precision,
+/// with any normalisation.
 #[derive(Debug)]
 pub(super) struct TorchBackbone {
     stem: FoldedConv,

@@ -1,9 +1,10 @@
-//! ACT as inference runs it: made once from a trained network, with the same answers but for rounding.
+//! ACT as inference runs it: made once from a trained network, with the same answers but for
+//! rounding.
 //!
-//! What is done while building: fixed normalisations go into the convolutions; what positions add to queries and keys, and
-//! the token of the latent, which is zero, become biases; the first decoder layer's attention of the steps to each other,
-//! which starts from zeros, becomes a constant with the queries that follow from it. Nothing of the variational encoder is
-//! kept.
+//! What is done while building: fixed normalisations go into the convolutions; what positions add
+//! to queries and keys, and the token of the latent, which is zero, become biases; the first
+//! decoder layer's attention of the steps to each other, which starts from zeros, becomes a
+//! constant with the queries that follow from it. Nothing of the variational encoder is kept.
 
 mod backbone;
 mod native_backbone;
@@ -68,11 +69,12 @@ impl FoldedAct {
         })
     }
 
-    /// The chunk for an observation, as [`Act::infer`] gives it: `(batch, steps, action)`, normalised, single precision.
+    /// The chunk for an observation, as [`Act::infer`] gives it: `(batch, steps, action)`,
+    /// normalised, single precision.
     ///
-    /// `images` is `(batch, cameras, 3, height, width)`, all of which go through the backbone together; `state` is
-    /// `(batch, state)`. It writes into tensors of its own: one inference ends before the next begins, and on
-    /// CUDA the next one overwrites the output.
+    /// `images` is `(batch, cameras, 3, height, width)`, all of which go through the backbone
+    /// together; `state` is `(batch, state)`. It writes into tensors of its own: one inference ends
+    /// before the next begins, and on CUDA the next one overwrites the output.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.

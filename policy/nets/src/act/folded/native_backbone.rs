@@ -1,4 +1,5 @@
-//! The backbone in convolutions of our own: on the CPU, with one thread, where all normalisations are fixed.
+//! The backbone in convolutions of our own: on the CPU, with one thread, where all normalisations
+//! are fixed.
 
 use tch::{TchError, Tensor};
 

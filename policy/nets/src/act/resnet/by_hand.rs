@@ -1,4 +1,5 @@
-//! The backbone's training with kernels of our own between the convolutions: forward, saving what the backward pass needs, and backward.
+//! The backbone's training with kernels of our own between the convolutions: forward, saving what
+//! the backward pass needs, and backward.
 
 use tch::{TchError, Tensor};
 
@@ -26,8 +27,8 @@ struct KeptBlock {
 type Gradients = Vec<(Tensor, Tensor)>;
 
 impl ResNet18 {
-    /// What [`Self::forward`] answers, outside of the library's own bookkeeping. `images` and filters have 16 bits and their
-    /// channels last.
+    /// What [`Self::forward`] answers, outside of the library's own bookkeeping. `images` and
+    /// filters have 16 bits and their channels last.
     pub(crate) fn forward_by_hand(
         &self,
         kernels: &Kernels,
@@ -159,7 +160,8 @@ impl Conv {
         }
     }
 
-    /// Notes the gradient of the filters; the gradient of `x` if it is wanted, which is undefined if not.
+    /// Notes the gradient of the filters; the gradient of `x` if it is wanted, which is undefined
+    /// if not.
     fn back(
         &self,
         gradient: &Tensor,

@@ -9,7 +9,8 @@ use super::{BackboneNorm, ResNet18, STAGES};
 use crate::kernels::Kernels;
 use crate::parameters::{ParameterSource, Parameters};
 
-/// Tensors of a network, rounded to 16 bits, in `kind` on `device`, the trained ones with gradients.
+/// Tensors of a network, rounded to 16 bits, in `kind` on `device`, the trained ones with
+/// gradients.
 fn rounded(parameters: &Parameters, kind: Kind, device: Device) -> BTreeMap<String, Tensor> {
     let of = |(key, tensor): (&str, &Tensor)| {
         let tensor = tensor.to_kind(Kind::BFloat16).to_kind(kind);
@@ -60,7 +61,8 @@ impl Seen {
         }
     }
 
-    /// The answer and the gradients that the library finds for the network of `tensors`, in their precision.
+    /// The answer and the gradients that the library finds for the network of `tensors`, in their
+    /// precision.
     fn by_the_library(
         &self,
         tensors: &BTreeMap<String, Tensor>,
@@ -135,7 +137,8 @@ fn training_by_hand_finds_the_gradients_that_the_library_finds() {
             answer[0] < 1.2 * rough[0] + 0.005,
             "{norm:?}: {answer:?}, the library {rough:?}"
         );
-        // How far off the library is by its own rounding is chance for one parameter, but not for all of them.
+        // How far off the library is by its own rounding is chance for one parameter, but not for
+        // all of them.
         let [own, library] = [gradients, rough_gradients].map(|all| off(&all, &wanted_gradients));
         let sum = |all: &[f64]| all.iter().sum::<f64>();
         let most = |all: &[f64]| all.iter().copied().fold(0.0, f64::max);

@@ -1,4 +1,5 @@
-//! The statistics that a frozen batch normalisation takes from pictures before a training from scratch.
+//! The statistics that a frozen batch normalisation takes from pictures before a training from
+//! scratch.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +14,8 @@ struct Measured<'a> {
 }
 
 impl Measured<'_> {
-    /// `x` convolved and normalised by its own statistics over batch and pixels, which are kept under `key`.
+    /// `x` convolved and normalised by its own statistics over batch and pixels, which are kept
+    /// under `key`.
     fn normalised(&mut self, conv: &Conv, key: &str, x: &Tensor) -> Result<Tensor, TchError> {
         let convolved = conv.convolved(x)?;
         let pixels = [0_i64, 2, 3].as_slice();
@@ -32,8 +34,9 @@ impl Measured<'_> {
 }
 
 impl ResNet18 {
-    /// Mean and unbiased variance of every normalisation for `images` `(n, 3, h, w)`, by key, if each layer is normalised by its own:
-    /// what training batch normalisation would note in one pass.
+    /// Mean and unbiased variance of every normalisation for `images` `(n, 3, h, w)`, by key, if
+    /// each layer is normalised by its own: what training batch normalisation would note in one
+    /// pass.
     pub(in crate::act) fn statistics(
         &self,
         prefix: &str,

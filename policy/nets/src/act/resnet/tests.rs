@@ -24,7 +24,8 @@ fn feature_map_has_the_foretold_size() {
 
 #[test]
 fn statistics_are_folded_before_they_are_rounded() {
-    // Means where numbers of 16 bits are whole ones at most, and biases that take nearly all of them back.
+    // Means where numbers of 16 bits are whole ones at most, and biases that take nearly all of
+    // them back.
     let weight = [0.9_f32, 1.1, 1.3];
     let mean = [200.3_f32, -150.7, 90.2];
     let variance = [1.07_f32, 0.031, 7.7];

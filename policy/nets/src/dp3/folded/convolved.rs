@@ -1,5 +1,5 @@
-//! The U-Net's convolutions: by products of our own where the processor's instructions are known, by the network library
-//! elsewhere.
+//! The U-Net's convolutions: by products of our own where the processor's instructions are known,
+//! by the network library elsewhere.
 
 use tch::{Device, Kind, TchError, Tensor};
 
@@ -31,7 +31,8 @@ impl Backend {
     }
 }
 
-/// A convolution for a fixed number of steps, from `(1, channels, steps)` to `(1, channels, steps)`.
+/// A convolution for a fixed number of steps, from `(1, channels, steps)` to `(1, channels,
+/// steps)`.
 #[derive(Debug)]
 pub(super) enum Convolved {
     Native(Streamed),
@@ -39,7 +40,8 @@ pub(super) enum Convolved {
 }
 
 impl Convolved {
-    /// `convolution` over `steps`, and the residual connection's, of a single tap and as many outputs.
+    /// `convolution` over `steps`, and the residual connection's, of a single tap and as many
+    /// outputs.
     pub(super) fn new(
         convolution: &Convolution,
         beside: Option<&Convolution>,
@@ -83,7 +85,8 @@ impl Convolved {
         }
     }
 
-    /// `x`, made of what [`Self::apply`] answered, after Mish, as the next convolution reads it best.
+    /// `x`, made of what [`Self::apply`] answered, after Mish, as the next convolution reads it
+    /// best.
     pub(super) fn activated(&self, mut x: Tensor) -> Result<Tensor, TchError> {
         match self {
             Self::Native(_) => x.f_mish_(),
@@ -91,7 +94,8 @@ impl Convolved {
         }
     }
 
-    /// Adds the residual connection to `out`: its convolution's output for the last input, or `x` without one.
+    /// Adds the residual connection to `out`: its convolution's output for the last input, or `x`
+    /// without one.
     pub(super) fn add_beside(&self, mut out: Tensor, x: &Tensor) -> Result<Tensor, TchError> {
         match self {
             Self::Native(streamed) => out.f_add_(streamed.beside().unwrap_or(x)),

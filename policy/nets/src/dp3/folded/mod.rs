@@ -1,8 +1,9 @@
-//! DP3 as inference runs it: made once from a trained network, with the same answers but for rounding.
+//! DP3 as inference runs it: made once from a trained network, with the same answers but for
+//! rounding.
 //!
-//! Of the scales and shifts that the condition gives each channel, the part of the diffusion's timesteps is known while
-//! building, since inference has few of them, and the part of the observations is the same in all of them. Convolutions over
-//! so few steps are matrix products.
+//! Of the scales and shifts that the condition gives each channel, the part of the diffusion's
+//! timesteps is known while building, since inference has few of them, and the part of the
+//! observations is the same in all of them. Convolutions over so few steps are matrix products.
 
 mod convolved;
 mod streamed;
@@ -38,8 +39,8 @@ struct Network {
 }
 
 impl FoldedDp3 {
-    /// The network that answers as `dp3` did, where `dp3` was; its convolutions compute in the precision `kind`, the rest in
-    /// single precision.
+    /// The network that answers as `dp3` did, where `dp3` was; its convolutions compute in the
+    /// precision `kind`, the rest in single precision.
     ///
     /// # Errors
     /// The network library's.
@@ -76,10 +77,11 @@ impl FoldedDp3 {
         &self.config
     }
 
-    /// The actions that `noise` leads to, as [`Dp3::infer`] gives them, for one observation: `(1, horizon, action)`.
+    /// The actions that `noise` leads to, as [`Dp3::infer`] gives them, for one observation: `(1,
+    /// horizon, action)`.
     ///
-    /// It writes into tensors of its own: one inference ends before the next begins, and on CUDA the next one overwrites the
-    /// output.
+    /// It writes into tensors of its own: one inference ends before the next begins, and on CUDA
+    /// the next one overwrites the output.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.

@@ -7,7 +7,8 @@ use crate::dp3::blocks::{Convolution, Doubling};
 use crate::layers::narrow::{Columns, Narrow, Place, Windows};
 use crate::layers::vectors::Processor;
 
-/// A convolution for a fixed number of steps, from `(1, channels, steps)` to `(1, channels, steps)`.
+/// A convolution for a fixed number of steps, from `(1, channels, steps)` to `(1, channels,
+/// steps)`.
 #[derive(Debug)]
 pub(super) struct Streamed {
     processor: Processor,
@@ -38,7 +39,8 @@ pub(super) struct Workspace {
 }
 
 impl Streamed {
-    /// `convolution` over `steps`, and the residual connection's, of a single tap and as many outputs.
+    /// `convolution` over `steps`, and the residual connection's, of a single tap and as many
+    /// outputs.
     pub(super) fn new(
         convolution: &Convolution,
         beside: Option<&Convolution>,
@@ -112,8 +114,8 @@ impl Streamed {
         Ok(Self {
             processor,
             threads,
-            // An even step gets the fourth tap of the step before and the second of its own; an odd one the third of its own
-            // and the first of the one after.
+            // An even step gets the fourth tap of the step before and the second of its own; an odd
+            // one the third of its own and the first of the one after.
             parts: vec![part([3, 1], [1, 0])?, part([2, 0], [0, 1])?],
             beside: None,
             of_beside: None,

@@ -1,23 +1,27 @@
-//! Convolutions over few steps as one matrix product each: what every step gives to every tap, then the sum over the taps.
+//! Convolutions over few steps as one matrix product each: what every step gives to every tap, then
+//! the sum over the taps.
 //!
-//! With this few steps a convolution takes as long as reading its weights. Here these lie as the product reads them: on the
-//! CPU in blocks of outputs, each of which is one stretch of memory; elsewhere, and for few outputs, the inputs of each output
-//! together, and those of each step too.
+//! With this few steps a convolution takes as long as reading its weights. Here these lie as the
+//! product reads them: on the CPU in blocks of outputs, each of which is one stretch of memory;
+//! elsewhere, and for few outputs, the inputs of each output together, and those of each step too.
 
 use tch::{Device, Kind, TchError, Tensor};
 
 use crate::dp3::blocks::{Convolution, Doubling};
 
-/// A convolution for a fixed number of steps, from `(1, channels, steps)` to `(1, channels, steps)`.
+/// A convolution for a fixed number of steps, from `(1, channels, steps)` to `(1, channels,
+/// steps)`.
 #[derive(Debug)]
 pub(super) struct Taps {
-    /// `(blocks, inputs, columns of a block)`; without the first dimension if there is one block, whose columns are then
-    /// stretches of memory. The columns are the outputs of each tap, one tap after the other, then those of the residual convolution.
+    /// `(blocks, inputs, columns of a block)`; without the first dimension if there is one block,
+    /// whose columns are then stretches of memory. The columns are the outputs of each tap, one tap
+    /// after the other, then those of the residual convolution.
     weight: Tensor,
-    /// `(blocks, 1, columns of a block)`, or `(columns)`: with the tap that meets a step for every output.
+    /// `(blocks, 1, columns of a block)`, or `(columns)`: with the tap that meets a step for every
+    /// output.
     bias: Tensor,
-    /// The products, `(blocks, steps, columns of a block)`, or without the first dimension. In memory there are rows of
-    /// zeros around the steps of each block, which stay zero.
+    /// The products, `(blocks, steps, columns of a block)`, or without the first dimension. In
+    /// memory there are rows of zeros around the steps of each block, which stay zero.
     written: Tensor,
     /// The products by output and tap, the taps last.
     terms: Tensor,
@@ -124,7 +128,8 @@ impl Layout {
 }
 
 impl Taps {
-    /// `convolution` over `steps`, and the residual connection's, of a single tap and as many outputs.
+    /// `convolution` over `steps`, and the residual connection's, of a single tap and as many
+    /// outputs.
     pub(super) fn new(
         convolution: &Convolution,
         beside: Option<&Convolution>,
@@ -173,8 +178,8 @@ impl Taps {
         let &[inputs, outputs, _] = size.as_slice() else {
             return Err(TchError::Shape(format!("weights of shape {size:?}")));
         };
-        // An even step gets the step's second tap and the fourth of the one before; an odd one the third, and the first of
-        // the one after.
+        // An even step gets the step's second tap and the fourth of the one before; an odd one the
+        // third, and the first of the one after.
         let order = Tensor::f_from_slice(&[3_i64, 1, 2, 0])?.f_to_device(weight.device())?;
         let ordered = weight.f_index_select(2, &order)?.f_permute([0, 2, 1])?;
         let layout = Layout::new(steps + 2, 4 * outputs, outputs, weight.device());
@@ -272,7 +277,8 @@ impl Taps {
         self.weight.dim() == 2
     }
 
-    /// Adds the residual connection to `out`: its convolution's output for the last input, or `x` without one.
+    /// Adds the residual connection to `out`: its convolution's output for the last input, or `x`
+    /// without one.
     pub(super) fn add_beside(&self, mut out: Tensor, x: &Tensor) -> Result<Tensor, TchError> {
         match &self.beside {
             Some(beside) => {

@@ -108,7 +108,8 @@ impl FoldedUNet {
         })
     }
 
-    /// Scales and shifts `(channels, 1)` of every block at every timestep for the observations' features `(1, features)`.
+    /// Scales and shifts `(channels, 1)` of every block at every timestep for the observations'
+    /// features `(1, features)`.
     pub(super) fn modulations(&self, observed: &Tensor) -> Result<Vec<Vec<Tensor>>, TchError> {
         let Modulation {
             of_steps,
@@ -123,7 +124,8 @@ impl FoldedUNet {
             .collect()
     }
 
-    /// The clean actions `(1, steps, action)` behind `noisy` ones by one timestep's [`Self::modulations`].
+    /// The clean actions `(1, steps, action)` behind `noisy` ones by one timestep's
+    /// [`Self::modulations`].
     pub(super) fn forward(
         &mut self,
         noisy: &Tensor,

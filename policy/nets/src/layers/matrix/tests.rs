@@ -1,4 +1,5 @@
-//! The library's numbers in double precision, to rounding; the same bits whatever instructions there are.
+//! The library's numbers in double precision, to rounding; the same bits whatever instructions
+//! there are.
 
 use tch::{Kind, Tensor};
 
@@ -13,7 +14,8 @@ fn list(tensor: &Tensor) -> Vec<f32> {
     Vec::try_from(tensor.view([-1])).unwrap()
 }
 
-/// All that this processor can be taken for. Where it is none of them, nothing here would be tested.
+/// All that this processor can be taken for. Where it is none of them, nothing here would be
+/// tested.
 fn processors() -> Vec<Processor> {
     let all = Processor::all();
     assert!(!all.is_empty(), "the tests need AVX2");

@@ -2,7 +2,8 @@
 
 use crate::layers::vectors::Processor;
 
-/// The columns of a product: for each block of columns, for each row, the numbers of the block's columns.
+/// The columns of a product: for each block of columns, for each row, the numbers of the block's
+/// columns.
 #[derive(Debug, Default)]
 pub(crate) struct Columns {
     values: Vec<f32>,
@@ -54,7 +55,8 @@ impl Columns {
         rows
     }
 
-    /// The windows into `x` `(inputs, steps)`: a row for every step of a window of every input, a column for every window.
+    /// The windows into `x` `(inputs, steps)`: a row for every step of a window of every input, a
+    /// column for every window.
     pub(crate) fn set(&mut self, processor: Processor, x: &[f32], windows: Windows) {
         let Windows {
             steps, taps, count, ..

@@ -43,7 +43,8 @@ impl<T: Stored> SimdKernel for Gemm<'_, T> {
     }
 }
 
-/// All of `panels`, `PANELS` at a time, by `columns` in blocks of `COLUMNS`; a panel is `VECTORS` vectors wide.
+/// All of `panels`, `PANELS` at a time, by `columns` in blocks of `COLUMNS`; a panel is `VECTORS`
+/// vectors wide.
 #[inline(always)]
 fn product<
     V: Vectors,

@@ -1,5 +1,5 @@
-//! The library's numbers in double precision, to rounding; the same bits however weights lie in memory and whatever
-//! instructions there are.
+//! The library's numbers in double precision, to rounding; the same bits however weights lie in
+//! memory and whatever instructions there are.
 
 use half::f16;
 use tch::{Kind, Tensor};
@@ -12,7 +12,8 @@ use hal::random::SplitMix64;
 /// Of the sum of the sizes of what is added up, which rounding goes by.
 const ROUNDING: f64 = 1e-6;
 
-/// All that this processor can be taken for. Where it is none of them, nothing here would be tested.
+/// All that this processor can be taken for. Where it is none of them, nothing here would be
+/// tested.
 fn processors() -> Vec<Processor> {
     let all = Processor::all();
     assert!(!all.is_empty(), "the tests need AVX2");

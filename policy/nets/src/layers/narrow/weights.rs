@@ -47,7 +47,8 @@ impl Weights {
     }
 }
 
-/// The rows of `values` `(outputs, rows)` panel by panel: a number for each output, zeros where there is none.
+/// The rows of `values` `(outputs, rows)` panel by panel: a number for each output, zeros where
+/// there is none.
 pub(super) fn panels(values: &[f32], rows: usize) -> impl Iterator<Item = [f32; PANEL]> {
     assert!(rows > 0, "a matrix without rows");
     values.chunks(rows * PANEL).flat_map(move |panel| {

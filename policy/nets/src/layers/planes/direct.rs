@@ -7,7 +7,8 @@ use crate::layers::aligned::Aligned;
 use crate::layers::kernel::{InRegisters, PANEL, Summing, Sums, accumulate, panels};
 use crate::layers::vectors::Vectors;
 
-/// Numbers of an input that a block of rows reads at most, so that it stays in the second-level cache.
+/// Numbers of an input that a block of rows reads at most, so that it stays in the second-level
+/// cache.
 const BLOCK: usize = 1 << 17;
 
 /// How a convolution goes over its input.
@@ -144,7 +145,8 @@ impl Summing for Taps<'_> {
 }
 
 impl Taps<'_> {
-    /// The sums over the taps of the pixels from `first` on, row by row; behind the last pixel whatever.
+    /// The sums over the taps of the pixels from `first` on, row by row; behind the last pixel
+    /// whatever.
     #[inline(always)]
     fn group<V: Vectors, const ROWS: usize, const VECTORS: usize>(
         &self,

@@ -1,7 +1,7 @@
 //! The stem of a ResNet: a 7x7 convolution with stride 2, ReLU, and 3x3 max pooling with stride 2.
 //!
-//! A row of the convolution goes through the pooling as soon as its neighbours are there, so that the largest picture of
-//! the network never leaves the second-level cache.
+//! A row of the convolution goes through the pooling as soon as its neighbours are there, so that
+//! the largest picture of the network never leaves the second-level cache.
 
 use pulp::Simd;
 use tch::{TchError, Tensor};

@@ -1,4 +1,5 @@
-//! The same numbers as the library's plain convolutions in double precision, to rounding, whatever the vectors' width.
+//! The same numbers as the library's plain convolutions in double precision, to rounding, whatever
+//! the vectors' width.
 
 use tch::{Device, Kind, TchError, Tensor};
 
@@ -7,7 +8,8 @@ use crate::layers::aligned::Aligned;
 use crate::layers::seeded::numbers;
 use crate::layers::vectors::Processor;
 
-/// Of the greatest number in an answer. Seen here: tiles up to 1.6e-6, taps 7.7e-7, the stem 4.6e-7, the library 5.7e-7.
+/// Of the greatest number in an answer. Seen here: tiles up to 1.6e-6, taps 7.7e-7, the stem
+/// 4.6e-7, the library 5.7e-7.
 const ROUNDING: f64 = 2e-6;
 
 fn plane_of(x: &Tensor) -> Plane {

@@ -1,6 +1,8 @@
-//! Inputs to the values of a tile, the values to outputs, and kernels to the values that they multiply.
+//! Inputs to the values of a tile, the values to outputs, and kernels to the values that they
+//! multiply.
 //!
-//! Whatever works on vectors is inlined into the function that may use the processor's; a closure might not be.
+//! Whatever works on vectors is inlined into the function that may use the processor's; a closure
+//! might not be.
 
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 
@@ -12,7 +14,8 @@ use super::{Epilogue, load, store};
 /// Squares of the points of the interpolation.
 const SQUARES: [f64; 2] = [0.5, 2.0];
 
-/// What the transforms multiply with, in all lanes; `near` is the point at the root of a half, `far` the one at the root of two.
+/// What the transforms multiply with, in all lanes; `near` is the point at the root of a half,
+/// `far` the one at the root of two.
 #[derive(Clone, Copy)]
 pub(super) struct Constants<S: Simd> {
     simd: S,
@@ -49,7 +52,8 @@ impl<S: Simd> Constants<S> {
         }
     }
 
-    /// Six inputs along one direction to the values at the points 0, near, -near, far, -far and infinity.
+    /// Six inputs along one direction to the values at the points 0, near, -near, far, -far and
+    /// infinity.
     #[inline(always)]
     fn values(&self, d: [S::f32s; INPUTS]) -> [S::f32s; INPUTS] {
         let s = self.simd;
@@ -109,7 +113,8 @@ pub(super) fn kernel_to_tile(kernel: &[f32; 9]) -> [f32; VALUES] {
     })
 }
 
-/// The inputs about the tile at `place` to its values. `to` is where its first goes, and how far it is to the next.
+/// The inputs about the tile at `place` to its values. `to` is where its first goes, and how far it
+/// is to the next.
 #[inline(always)]
 pub(super) fn to_tile<S: Simd>(
     constants: &Constants<S>,
@@ -150,7 +155,8 @@ pub(super) fn to_tile<S: Simd>(
     }
 }
 
-/// Products of a tile at `place`, of which `from` is the first and says how far it is to the next, to outputs.
+/// Products of a tile at `place`, of which `from` is the first and says how far it is to the next,
+/// to outputs.
 #[inline(always)]
 pub(super) fn from_tile<S: Simd>(
     constants: &Constants<S>,

@@ -1,10 +1,12 @@
-//! Convolutions of 3x3 with stride 1 by Winograd's minimal filtering: 36 multiplications for 4x4 outputs instead of 144.
+//! Convolutions of 3x3 with stride 1 by Winograd's minimal filtering: 36 multiplications for 4x4
+//! outputs instead of 144.
 //!
-//! Pictures lie with their channels last. A tile of 6x6 inputs becomes 36 values by a transform along both directions; each of
-//! the 36 goes through a matrix product over the channels of its own; the transform back gives 4x4 outputs. Tiles go through
-//! all three in blocks that stay in the second-level cache. Points of the interpolation: 0, infinity, and plus or minus the
-//! square roots of a half and of two, whose powers are as close to one as four such points allow, so that little is lost to
-//! rounding.
+//! Pictures lie with their channels last. A tile of 6x6 inputs becomes 36 values by a transform
+//! along both directions; each of the 36 goes through a matrix product over the channels of its
+//! own; the transform back gives 4x4 outputs. Tiles go through all three in blocks that stay in the
+//! second-level cache. Points of the interpolation: 0, infinity, and plus or minus the square roots
+//! of a half and of two, whose powers are as close to one as four such points allow, so that little
+//! is lost to rounding.
 
 use tch::{TchError, Tensor};
 
@@ -15,10 +17,12 @@ use crate::layers::aligned::Aligned;
 use crate::layers::kernel::{GROUP, InRegisters, PANEL, Summing, accumulate, share};
 use crate::layers::vectors::Vectors;
 
-/// Numbers between the tiles of one of the values and those of the next, so that they do not fall on the same cache lines.
+/// Numbers between the tiles of one of the values and those of the next, so that they do not fall
+/// on the same cache lines.
 const GAP: usize = 16;
 
-/// Inputs that are summed on their own before they are added to the others', so that fewer bits are lost.
+/// Inputs that are summed on their own before they are added to the others', so that fewer bits are
+/// lost.
 const PART: usize = 128;
 
 /// A 3x3 convolution with stride 1 and zero padding, followed by ReLU, on the CPU.
@@ -32,7 +36,8 @@ pub(crate) struct Winograd {
 }
 
 impl Winograd {
-    /// `weight` `(outputs, inputs, 3, 3)` and `bias` `(outputs)`; outputs are a multiple of 32, inputs of 16.
+    /// `weight` `(outputs, inputs, 3, 3)` and `bias` `(outputs)`; outputs are a multiple of 32,
+    /// inputs of 16.
     pub(crate) fn new(weight: &Tensor, bias: &Tensor) -> Result<Self, TchError> {
         let [outputs, inputs, high, wide] = shape_of(weight)?;
         let fits = outputs.is_multiple_of(PANEL) && inputs.is_multiple_of(16) && inputs > 0;
@@ -57,8 +62,8 @@ impl Winograd {
         })
     }
 
-    /// Whether images of this size need at most half the multiplications of a plain convolution: of few or narrow tiles
-    /// much is thrown away.
+    /// Whether images of this size need at most half the multiplications of a plain convolution: of
+    /// few or narrow tiles much is thrown away.
     pub(crate) const fn pays(height: usize, width: usize) -> bool {
         let tiles = height.div_ceil(OUTPUTS) * width.div_ceil(OUTPUTS);
         2 * VALUES * whole_groups(tiles) <= 9 * height * width
@@ -148,8 +153,8 @@ impl Summing for Tiles<'_> {
     }
 }
 
-/// The first `count` of `tiles` `(tiles, inputs)` by the first panels of `weight` `(panels, inputs, outputs of a panel)`. Tiles
-/// are done in groups, so some more of `products` may be written to.
+/// The first `count` of `tiles` `(tiles, inputs)` by the first panels of `weight` `(panels, inputs,
+/// outputs of a panel)`. Tiles are done in groups, so some more of `products` may be written to.
 #[inline(always)]
 fn product<V: Vectors, const ROWS: usize, const VECTORS: usize>(
     simd: V,

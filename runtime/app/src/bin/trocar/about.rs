@@ -19,7 +19,8 @@ use crate::drives::can_source;
 /// What to do with the configuration.
 #[derive(Debug, Subcommand)]
 pub(crate) enum ConfigVerb {
-    /// Print a file as a run would read it: built in or given, with the policy's recommendation and every --set.
+    /// Print a file as a run would read it: built in or given, with the policy's recommendation and
+    /// every --set.
     #[command(
         after_help = "Example: trocar config show control\n         trocar config show scene --task suture-pad\n         trocar config show can --set can.cycle_us=4000 > can.toml"
     )]

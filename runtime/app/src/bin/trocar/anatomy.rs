@@ -102,33 +102,39 @@ pub(crate) struct BuildArgs {
     /// The folder, which is made.
     #[arg(long)]
     out: PathBuf,
-    /// Which label is which tissue group: vista3d, totalsegmentator, groups (our own segmenter's), or a file.
+    /// Which label is which tissue group: vista3d, totalsegmentator, groups (our own segmenter's),
+    /// or a file.
     #[arg(long, value_name = "NAME|FILE", default_value = "vista3d")]
     groups: String,
     /// How far meshes may be from the smooth surface, mm, 0.01 to 10.
     #[arg(long, value_name = "E", default_value_t = 0.5, value_parser = error_mm)]
     max_error_mm: f64,
-    /// How surfaces are found: nets share vertices between neighbours, marching cubes make each group by itself.
+    /// How surfaces are found: nets share vertices between neighbours, marching cubes make each
+    /// group by itself.
     #[arg(long, value_enum, default_value = "nets")]
     surface: Surface,
     /// Pieces of a group that are smaller go to their neighbours, mm³, up to 100000.
     #[arg(long, value_name = "V", default_value_t = 30.0, value_parser = island_mm3)]
     min_island_mm3: f64,
-    /// Measure distances from the voxels after each stage that moves surfaces too; they go into patient.json.
+    /// Measure distances from the voxels after each stage that moves surfaces too; they go into
+    /// patient.json.
     #[arg(long)]
     measure_stages: bool,
-    /// Fill the groups with tetrahedra too, of a body-centred cubic lattice with cells of this side, mm, 0.5 to 50: tetrahedra.usda.
+    /// Fill the groups with tetrahedra too, of a body-centred cubic lattice with cells of this
+    /// side, mm, 0.5 to 50: tetrahedra.usda.
     #[arg(long, value_name = "MM", value_parser = side_mm)]
     tetrahedra: Option<f64>,
-    /// Paint a texture of this side for each group too, pixels, 16 to 2048: patient-textured.glb and patient-textured.usdz, which
-    /// have them embedded.
+    /// Paint a texture of this side for each group too, pixels, 16 to 2048: patient-textured.glb
+    /// and patient-textured.usdz, which have them embedded.
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(i64::from(SIDE_PX[0])..=i64::from(SIDE_PX[1])))]
     textures: Option<u32>,
-    /// Make so many coarser levels of detail too, 0 to 4, each with twice the error of the one before: patient-level-1.usda and following, and
-    /// patient-levels.usda with all as variants (LOD).
+    /// Make so many coarser levels of detail too, 0 to 4, each with twice the error of the one
+    /// before: patient-level-1.usda and following, and patient-levels.usda with all as variants
+    /// (LOD).
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=i64::from(LEVELS_MAX)))]
     levels: u32,
-    /// Write what was made, with times and memory of each stage, as JSON, to standard output if it is `-`; parent folders are made.
+    /// Write what was made, with times and memory of each stage, as JSON, to standard output if it
+    /// is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }

@@ -108,7 +108,8 @@ pub(crate) enum Verb {
         after_help = "Example: trocar policy --policy config/policies/needle-lift/act-compact --name lab\n         trocar run --task needle-lift --policy external:lab --set control.aggregation.mode=newest\n\nIt answers one session after another, in lockstep or in real time, those that began before it too. A run with --set control.policy.restarts=1 holds its arms when it ends, and goes on once it was started again. Ctrl-C ends it."
     )]
     Policy(PolicyArgs),
-    /// Draw a task's cameras in a process of their own; `run` starts one itself unless its frames come from --topics.
+    /// Draw a task's cameras in a process of their own; `run` starts one itself unless its frames
+    /// come from --topics.
     #[command(
         after_help = "Example: trocar cameras --task needle-lift --topics lab\n         trocar run --task needle-lift --policy config/policies/needle-lift/act-compact --topics lab\n\nWith --topics a run draws nothing: its policy sees what any process publishes there under its cameras' names. This one draws the run's own scene, of any seed, for one run after another; task, --scene, --needle, --view and --set must be the run's. A run with --set control.policy.restarts=1 holds its arms when the frames stop, and goes on when they come again. Ctrl-C ends it."
     )]
@@ -118,7 +119,8 @@ pub(crate) enum Verb {
         after_help = "Example: trocar record --task needle-lift --episodes 50 --source expert --cameras multi --out runs/demos\n         trocar record --task needle-lift --episodes 50 --source simulated-operator --out runs/by-hand\n         trocar record --task needle-lift --episodes 200 --disturb 0.5 --vary needles,views,light --jobs 2 --out runs/varied\n         trocar record --task needle-lift --episodes 100 --source expert --cameras multi --out runs/demos --resume\n\nCtrl-C (SIGINT), SIGTERM and SIGHUP abandon the episodes in progress; what was recorded is a dataset, and the exit code is 1. A second one ends the program at once. The same command with --resume goes on, also after a crash or a full disk, and comes to the same dataset as without the break."
     )]
     Record(RecordArgs),
-    /// Make a LeRobot v3 dataset of demonstrations of others: HDF5 of ACT or robomimic, LeRobot datasets, a dVRK's folders; or of run logs.
+    /// Make a LeRobot v3 dataset of demonstrations of others: HDF5 of ACT or robomimic, LeRobot
+    /// datasets, a dVRK's folders; or of run logs.
     #[command(
         subcommand,
         after_help = "Example: trocar import act FOLDER --fps 25 --task \"Lift the needle\" --out runs/demos\n         trocar import lerobot FOLDER --mapping open-h-dvrk --out runs/demos\n         trocar import log runs/a.mcap runs/b.mcap --task \"Lift the needle\" --out runs/demos\n\nAmbiguous input is refused: deltas as actions, another number of joints, joints outside of the arm's limits (degrees, a normalised gripper), poses out of its reach, non-finite numbers, frames that are missing."
@@ -140,14 +142,16 @@ pub(crate) enum Verb {
         after_help = "Example: trocar study config/studies/sufia-bc.toml --dry-run\n         trocar study config/studies/sufia-bc.toml --out runs/sufia-bc\n         trocar study config/studies/sufia-bc.toml --out /shared/sufia-bc --shard 3/8\n\nIt can be cut off at any time: the same command goes on. What a cell's verb says is in its folder's log.txt. Exit code: 0 if all is done, 1 if a cell failed or it was interrupted, 2 for bad input, such as a result that was changed since it was made."
     )]
     Study(StudyArgs),
-    /// Make one page of a study: every table beside the published figures, comparisons, curves, losses, times and hashes.
+    /// Make one page of a study: every table beside the published figures, comparisons, curves,
+    /// losses, times and hashes.
     #[command(
         after_help = "Example: trocar report runs/sufia-bc --out runs/sufia-bc.html\n         trocar report runs/shard-1 runs/shard-2 --out runs/sufia-bc.md --json runs/sufia-bc.json"
     )]
     Report(ReportArgs),
-    /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical. It ends at the first gap, records that the logger
-    /// dropped since its disk stood still, and names the tick. With --console it is shown with a time line, and so are all episodes of a
-    /// dataset, whose folder is given in the log's place.
+    /// Recompute every command of a log from its inputs; exit 0 only if all are bit-identical. It
+    /// ends at the first gap, records that the logger dropped since its disk stood still, and names
+    /// the tick. With --console it is shown with a time line, and so are all episodes of a dataset,
+    /// whose folder is given in the log's place.
     #[command(
         after_help = "Example: trocar replay runs/a.mcap\n         trocar replay runs/a.mcap --console\n         trocar replay runs/demos --console"
     )]
@@ -157,12 +161,14 @@ pub(crate) enum Verb {
         after_help = "Example: trocar verify runs/a.mcap\n         trocar verify --part runs/long.mcap"
     )]
     Verify(VerifyArgs),
-    /// Emulate seven CiA 402 drives an arm, on CAN interfaces such as vcan, coupled to the simulated arms of a task.
+    /// Emulate seven CiA 402 drives an arm, on CAN interfaces such as vcan, coupled to the
+    /// simulated arms of a task.
     #[command(
         after_help = "Example: trocar drives --task needle-lift --seed 7\n         trocar drives --config runs/can.toml --fault kind=pull,node=3,at=2s --json runs/drives.json"
     )]
     Drives(DrivesArgs),
-    /// Simulate the arms of a task with their world and cameras in a process of its own, commanded over topics by `run --backend topics`.
+    /// Simulate the arms of a task with their world and cameras in a process of its own, commanded
+    /// over topics by `run --backend topics`.
     #[command(
         after_help = "Example: trocar simulator --task needle-lift --seed 7 --topics lab --cameras multi\n         trocar run --task needle-lift --seed 7 --policy expert --backend topics --topics lab"
     )]
@@ -175,7 +181,8 @@ pub(crate) enum Verb {
         after_help = "Example: trocar demo --task needle-lift --out runs/demo\n\nThe policy is the committed one of the task: in config/policies/TASK/ of the repository, or as it was installed."
     )]
     Demo(DemoArgs),
-    /// Draw what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids, as one PNG.
+    /// Draw what every camera of every task sees in the middle of an expert's episode, in colour,
+    /// depth and ids, as one PNG.
     #[command(
         after_help = "Example: trocar sheet --out runs/tasks.png --seed 7 --width 192 --shading fine"
     )]
@@ -191,12 +198,14 @@ pub(crate) enum Verb {
         after_help = "Example: trocar status\n         trocar status --json | jq .arms[0].state\n\nThis and enable, disable, pause, resume, home, clear, speed, mark and stop are commands to a run of this user in real time, over a local socket. Exit code 1 if the run refuses."
     )]
     Status(OperatorArgs),
-    /// Show a run in real time in the terminal, for ssh: joints, filter, guard, gate, control loop and buses, with the operator's commands as keys.
+    /// Show a run in real time in the terminal, for ssh: joints, filter, guard, gate, control loop
+    /// and buses, with the operator's commands as keys.
     #[command(
         after_help = "Example: trocar monitor\n         ssh robot -t trocar monitor --run 4711"
     )]
     Monitor(MonitorArgs),
-    /// Enable the simulated arms of a run again: from DISABLED to ENABLED. Arms of another process, and drives on CAN, are enabled by a new run alone.
+    /// Enable the simulated arms of a run again: from DISABLED to ENABLED. Arms of another process,
+    /// and drives on CAN, are enabled by a new run alone.
     #[command(after_help = "Example: trocar enable")]
     Enable(OperatorArgs),
     /// Disable the arms of a run: they stop, and lose torque.
@@ -211,14 +220,16 @@ pub(crate) enum Verb {
     /// Say whether the arms of a run are homed; drives home during bring-up.
     #[command(after_help = "Example: trocar home")]
     Home(OperatorArgs),
-    /// Clear a latched fault of simulated arms that hold with it (`fault.ends_run = false`): from FAULT to DISABLED. Any other fault, and always
-    /// one of arms on CAN or of another process, ends its run, so that there is none to clear: start a new run.
+    /// Clear a latched fault of simulated arms that hold with it (`fault.ends_run = false`): from
+    /// FAULT to DISABLED. Any other fault, and always one of arms on CAN or of another process,
+    /// ends its run, so that there is none to clear: start a new run.
     #[command(after_help = "Example: trocar clear")]
     Clear(OperatorArgs),
     /// Lower the speed limits of a run to a share of the configured ones, or raise them again.
     #[command(after_help = "Example: trocar speed 30")]
     Speed(SpeedArgs),
-    /// Mark how a robot's run went, as often as one likes, and label it: its log keeps both, for `import log`. It moves nothing and ends nothing.
+    /// Mark how a robot's run went, as often as one likes, and label it: its log keeps both, for
+    /// `import log`. It moves nothing and ends nothing.
     #[command(
         after_help = "Example: trocar mark success\n         trocar mark discard --label 'camera fell' && trocar stop\n         trocar mark none"
     )]
@@ -240,7 +251,8 @@ pub(crate) enum Verb {
     /// The policy's own process in a real-time run; started by `run`.
     #[command(hide = true)]
     PolicyProcess(PolicyProcessArgs),
-    /// Episodes whose seeds come on standard input, in lockstep with an external policy; started by the Python package's environments.
+    /// Episodes whose seeds come on standard input, in lockstep with an external policy; started by
+    /// the Python package's environments.
     #[command(hide = true)]
     Environment(EnvironmentArgs),
 }
@@ -288,7 +300,8 @@ impl Verb {
     }
 }
 
-/// A task: the name of a built-in one or the path of a folder. Which of them there are is seen when one is loaded.
+/// A task: the name of a built-in one or the path of a folder. Which of them there are is seen when
+/// one is loaded.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TaskParser;
 
@@ -320,7 +333,8 @@ pub(crate) enum Backend {
     Sim,
     /// Drives on CAN, such as those of `trocar drives`.
     Can,
-    /// Arms that another process leads, over topics: `trocar simulator`, a process of yours in Python or Rust.
+    /// Arms that another process leads, over topics: `trocar simulator`, a process of yours in
+    /// Python or Rust.
     Topics,
 }
 
@@ -339,17 +353,20 @@ pub(crate) struct RunArgs {
     /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
     #[arg(long, value_parser = TaskParser)]
     pub(crate) task: Option<String>,
-    /// With --backend can or topics: a robot without a task, within the limits of this file, which has the form of a task's safety.toml. There
-    /// is no simulator, no scene and no verdict; cameras are those on the topics --topics. Ends with --seconds, a signal or a fault.
+    /// With --backend can or topics: a robot without a task, within the limits of this file, which
+    /// has the form of a task's safety.toml. There is no simulator, no scene and no verdict;
+    /// cameras are those on the topics --topics. Ends with --seconds, a signal or a fault.
     #[arg(long, value_name = "FILE")]
     #[arg(conflicts_with_all = ["task", "lockstep", "scene", "needle", "view", "latency_ms", "latency_jitter_ms"])]
     pub(crate) safety: Option<PathBuf>,
-    /// With --safety: after how long the run ends, s, up to 86400; if not given, only a signal or a fault ends it.
+    /// With --safety: after how long the run ends, s, up to 86400; if not given, only a signal or a
+    /// fault ends it.
     #[arg(long, value_name = "S", requires = "safety", conflicts_with = "task", value_parser = seconds)]
     pub(crate) seconds: Option<f64>,
-    /// With --safety: the axes in which an operator's hands move an arm, once an arm: how the view (x to the right, y up, z towards the viewer) is turned
-    /// in the arm's RCM frame, degrees about its x, then y, then z. --policy teleop needs it, and so does whoever is to take over from a policy on the --console or
-    /// by --hands.
+    /// With --safety: the axes in which an operator's hands move an arm, once an arm: how the view
+    /// (x to the right, y up, z towards the viewer) is turned in the arm's RCM frame, degrees about
+    /// its x, then y, then z. --policy teleop needs it, and so does whoever is to take over from a
+    /// policy on the --console or by --hands.
     #[arg(
         long,
         value_name = "ARM=X,Y,Z",
@@ -358,8 +375,10 @@ pub(crate) struct RunArgs {
         allow_hyphen_values = true
     )]
     pub(crate) hands_view: Vec<HandsView>,
-    /// `expert`, `noop`, `random`, `teleop` (an operator's hands, over --console or from --hands), `simulated-operator` (with --lockstep), a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
-    /// `external:NAME`, such as one of the Python package in policy/python.
+    /// `expert`, `noop`, `random`, `teleop` (an operator's hands, over --console or from --hands),
+    /// `simulated-operator` (with --lockstep), a checkpoint's directory, or `external`: a process
+    /// of yours on the topics `external`, or on others with `external:NAME`, such as one of the
+    /// Python package in policy/python.
     #[arg(long)]
     pub(crate) policy: String,
     /// How an external policy is awaited.
@@ -380,35 +399,40 @@ pub(crate) struct RunArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene, can or realtime. May be given several
-    /// times.
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene, can
+    /// or realtime. May be given several times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
-    /// What the control thread asks of the operating system (scheduling, core, locked memory), instead of the built-in
-    /// config/realtime.toml.
+    /// What the control thread asks of the operating system (scheduling, core, locked memory),
+    /// instead of the built-in config/realtime.toml.
     #[arg(long, value_name = "FILE", conflicts_with = "lockstep")]
     pub(crate) realtime: Option<PathBuf>,
     /// With --backend can: nodes and interfaces instead of the built-in config/can.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) can_config: Option<PathBuf>,
-    /// The name of the topics that cameras publish on, and with --backend topics the arms: with --backend can or topics those of the simulated scene, or
-    /// with --safety of the robot, `drives` if not given. With --backend sim the policy then sees others' frames, of `trocar cameras` or anyone, and this run draws none.
+    /// The name of the topics that cameras publish on, and with --backend topics the arms: with
+    /// --backend can or topics those of the simulated scene, or with --safety of the robot,
+    /// `drives` if not given. With --backend sim the policy then sees others' frames, of `trocar
+    /// cameras` or anyone, and this run draws none.
     #[arg(long, value_name = "NAME")]
     pub(crate) topics: Option<String>,
     /// Write the run's log; parent folders are made.
     #[arg(long, value_name = "FILE.mcap")]
     pub(crate) log: Option<PathBuf>,
-    /// Keep no log. Without this and --log the last 256 MB of a run in real time are kept in ~/.local/state/trocar/black-box (of a service,
-    /// in its state folder), as simulation.mcap or, with --backend can or topics, TOPICS.mcap (.2.mcap of a second run at the same time), and the run before it beside it, as .before.mcap.
+    /// Keep no log. Without this and --log the last 256 MB of a run in real time are kept in
+    /// ~/.local/state/trocar/black-box (of a service, in its state folder), as simulation.mcap or,
+    /// with --backend can or topics, TOPICS.mcap (.2.mcap of a second run at the same time), and
+    /// the run before it beside it, as .before.mcap.
     #[arg(long, conflicts_with = "log")]
     pub(crate) no_log: bool,
-    /// What the log takes at most, MB: it keeps the last part, in FILE.mcap and, from before it, FILE.earlier.mcap, which `replay` and `verify`
-    /// take one by one.
+    /// What the log takes at most, MB: it keeps the last part, in FILE.mcap and, from before it,
+    /// FILE.earlier.mcap, which `replay` and `verify` take one by one.
     #[arg(long, value_name = "MB", requires = "log", value_parser = clap::value_parser!(u64).range(16..=1_000_000))]
     pub(crate) log_max_mb: Option<u64>,
-    /// Cameras whose frames the log keeps besides those that the policy sees: `single` (the one that the paper gives the
-    /// task's policies), `multi` (that one and the wrists), or names with commas between them. If there is neither:
-    /// endoscope. With --safety: names of cameras on the topics, none if not given.
+    /// Cameras whose frames the log keeps besides those that the policy sees: `single` (the one
+    /// that the paper gives the task's policies), `multi` (that one and the wrists), or names with
+    /// commas between them. If there is neither: endoscope. With --safety: names of cameras on the
+    /// topics, none if not given.
     #[arg(long, value_name = "single|multi|NAMES", requires = "log")]
     pub(crate) cameras: Option<String>,
     /// Write the result as JSON, to standard output if it is `-`; parent folders are made.
@@ -446,8 +470,8 @@ pub(crate) struct ComputeArgs {
     /// Numeric precision: bf16 is faster and less exact, on CUDA only.
     #[arg(long, value_enum, default_value = "f32")]
     pub(crate) precision: Precision,
-    /// Threads of the network on the CPU, at most one fewer than there are cores: one is the control's. Another number may
-    /// give other bits.
+    /// Threads of the network on the CPU, at most one fewer than there are cores: one is the
+    /// control's. Another number may give other bits.
     #[arg(long, default_value_t = 1, value_parser = threads())]
     pub(crate) threads: usize,
 }
@@ -487,8 +511,8 @@ pub(crate) struct VerifyArgs {
     /// The log, and where the result goes.
     #[command(flatten)]
     pub(crate) log: LogArgs,
-    /// What `run --log-max-mb` kept is enough: exit 0 if that part is whole and breaks no limit, though it does not show the run's other
-    /// ticks. The result's `ok` stays false.
+    /// What `run --log-max-mb` kept is enough: exit 0 if that part is whole and breaks no limit,
+    /// though it does not show the run's other ticks. The result's `ok` stays false.
     #[arg(long)]
     pub(crate) part: bool,
 }

@@ -1,4 +1,5 @@
-//! The log that a run in real time keeps unasked: what led to a fault is on disk, whoever forgot `--log`.
+//! The log that a run in real time keeps unasked: what led to a fault is on disk, whoever forgot
+//! `--log`.
 
 use std::env;
 use std::fs::{self, File, TryLockError};
@@ -11,11 +12,12 @@ use trocar::session::drives::DEFAULT_TOPICS;
 use crate::args::{Backend, RunArgs};
 use crate::console;
 
-/// What it takes at most, bytes: of a run without cameras some hours, with two of 512 x 512 pixels about the last ten seconds.
+/// What it takes at most, bytes: of a run without cameras some hours, with two of 512 x 512 pixels
+/// about the last ten seconds.
 const BYTES_MAX: u64 = 256 << 20;
 
-/// A log that is no longer holds a few ticks at most, bytes: of a run that ended before its arms moved. Configuration and schemas are 23 kB
-/// of it, a tick about 1 kB.
+/// A log that is no longer holds a few ticks at most, bytes: of a run that ended before its arms
+/// moved. Configuration and schemas are 23 kB of it, a tick about 1 kB.
 const HEADER_BYTES: u64 = 48_000;
 
 /// Runs of one name that keep a log at a time.
@@ -90,8 +92,8 @@ fn folder() -> io::Result<PathBuf> {
     Ok(folder.join("black-box"))
 }
 
-/// The log of a run on the topics of that name, or of the simulation, with the one before it set aside. Runs at the same time have
-/// one each: `NAME.mcap`, `NAME.2.mcap` and so on.
+/// The log of a run on the topics of that name, or of the simulation, with the one before it set
+/// aside. Runs at the same time have one each: `NAME.mcap`, `NAME.2.mcap` and so on.
 fn kept(folder: &Path, name: &str) -> io::Result<PathBuf> {
     // Another name is refused where the topics are opened.
     if Path::new(name).file_name() != Some(name.as_ref()) {
@@ -126,7 +128,8 @@ fn kept(folder: &Path, name: &str) -> io::Result<PathBuf> {
     Ok(file(""))
 }
 
-/// The first of the names `name`, `name.2` ... that no other run has; names of topics have no dot. It is this process' own for as long as it lives.
+/// The first of the names `name`, `name.2` ... that no other run has; names of topics have no dot.
+/// It is this process' own for as long as it lives.
 fn own_name(folder: &Path, name: &str) -> io::Result<String> {
     for number in 1..=AT_A_TIME {
         let own = match number {

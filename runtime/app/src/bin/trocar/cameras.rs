@@ -19,19 +19,22 @@ const DEFAULT_TOPICS: &str = "cameras";
 /// Options of `cameras`.
 #[derive(Args, Debug)]
 pub(crate) struct CamerasArgs {
-    /// The task whose cameras these are: a built-in one by name, or the path of a folder. The run's must be the same.
+    /// The task whose cameras these are: a built-in one by name, or the path of a folder. The run's
+    /// must be the same.
     #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
     pub(crate) task: String,
     /// Names the topics of the run, on which the frames are shown too.
     #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
     pub(crate) topics: String,
-    /// Cameras whose frames are shown: `single`, `multi`, or names with commas between them; the task's first if not given.
+    /// Cameras whose frames are shown: `single`, `multi`, or names with commas between them; the
+    /// task's first if not given.
     #[arg(long, value_name = "single|multi|NAMES")]
     pub(crate) cameras: Option<String>,
     /// The scene, as the run has it.
     #[command(flatten)]
     pub(crate) scenes: ScenesArgs,
-    /// Override one configuration value, as the run does: FILE.KEY=VALUE, where FILE is safety or scene. May be given several times.
+    /// Override one configuration value, as the run does: FILE.KEY=VALUE, where FILE is safety or
+    /// scene. May be given several times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
     /// Random seed of the scene before a run says another.

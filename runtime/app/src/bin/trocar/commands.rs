@@ -104,7 +104,8 @@ pub(crate) fn note_awaited(policy: &PolicyChoice, jobs: usize) {
     }
 }
 
-/// Says so if the policy does another task than that of its demonstrations: that may be meant, so that it is no error.
+/// Says so if the policy does another task than that of its demonstrations: that may be meant, so
+/// that it is no error.
 pub(crate) fn warn_of_transfer(setup: &Setup) {
     if let Some(reason) = setup.transfer_note() {
         console::warning(&reason);
@@ -186,7 +187,8 @@ fn check_stereo(args: &RunArgs) -> Result<(), SessionError> {
     Ok(())
 }
 
-/// An operator's hands come over the console or from devices, in real time; those of devices may take over from any policy.
+/// An operator's hands come over the console or from devices, in real time; those of devices may
+/// take over from any policy.
 fn check_teleop(args: &RunArgs, policy: &PolicyChoice) -> Result<(), SessionError> {
     let (teleop, at_desk) = (*policy == PolicyChoice::Teleop, args.desk.is_given());
     let hands = args.page.console.is_some() || at_desk;
@@ -474,7 +476,8 @@ pub(crate) fn demo(args: &DemoArgs) -> Done {
     for file in &result.files {
         console::result(&format!("wrote {}", file.display()));
     }
-    // The real-time run depends on the machine and is reported as it went; the lockstep run must succeed.
+    // The real-time run depends on the machine and is reported as it went; the lockstep run must
+    // succeed.
     let sound = [&result.lockstep, &result.real_time]
         .iter()
         .all(|shown| shown.replayed.identical && shown.verified.ok);

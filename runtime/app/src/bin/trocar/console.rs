@@ -1,4 +1,5 @@
-//! What a person at the terminal reads: results on standard output, messages and progress on standard error.
+//! What a person at the terminal reads: results on standard output, messages and progress on
+//! standard error.
 use std::error::Error;
 use std::io::{ErrorKind, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,7 +31,8 @@ pub(crate) fn result(line: &str) {
 pub(crate) fn text(text: &str) {
     let mut out = std::io::stdout().lock();
     let written = out.write_all(text.as_bytes()).and_then(|()| out.flush());
-    // Whoever closes it does not want to read on; a full disk is told, and ends nothing that is still to be done.
+    // Whoever closes it does not want to read on; a full disk is told, and ends nothing that is
+    // still to be done.
     if written.is_err_and(|error| error.kind() != ErrorKind::BrokenPipe)
         && !STDOUT_FAILED.swap(true, Ordering::Relaxed)
     {
@@ -69,7 +71,8 @@ pub(crate) fn error(error: &dyn Error) {
     tell(&(text + "\n"));
 }
 
-/// What the command line is answered with in place of a verb, help or an error; the program's exit code.
+/// What the command line is answered with in place of a verb, help or an error; the program's exit
+/// code.
 pub(crate) fn usage(answer: &clap::Error) -> u8 {
     let written = answer.print().and_then(|()| std::io::stdout().flush());
     let full = written.is_err_and(|error| error.kind() != ErrorKind::BrokenPipe);
@@ -85,8 +88,8 @@ pub(crate) fn duration(seconds: f64) -> String {
     HumanDuration(Duration::from_secs(duration.as_secs())).to_string()
 }
 
-/// A progress bar that tells the time that is left itself, as `{msg}` of its steps tells other things; hidden when standard error
-/// is no terminal.
+/// A progress bar that tells the time that is left itself, as `{msg}` of its steps tells other
+/// things; hidden when standard error is no terminal.
 pub(crate) fn bar(what: &'static str) -> ProgressBar {
     let bar = ProgressBar::new(0);
     if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}") {

@@ -23,11 +23,12 @@ pub(crate) struct DrivesArgs {
     /// Nodes and interfaces instead of the built-in config/can.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// The task whose arms these are, and whose world they move in: a built-in one by name, or the path of a folder.
+    /// The task whose arms these are, and whose world they move in: a built-in one by name, or the
+    /// path of a folder.
     #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
     pub(crate) task: String,
-    /// Stand in for the real drives of a robot of one arm, or of two: the motors follow their set-points, there is no task, no scene
-    /// and no camera.
+    /// Stand in for the real drives of a robot of one arm, or of two: the motors follow their
+    /// set-points, there is no task, no scene and no camera.
     #[arg(long, value_name = "ARMS", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u8).range(1..=2))]
     #[arg(conflicts_with_all = ["task", "scene", "needle", "view", "cameras", "topics", "seed"])]
     pub(crate) no_world: Option<u8>,
@@ -37,20 +38,21 @@ pub(crate) struct DrivesArgs {
     /// The scene.
     #[command(flatten)]
     pub(crate) scene: SceneArgs,
-    /// Cameras whose frames are shown to other processes: `single`, `multi`, or names with commas between them; none if not
-    /// given.
+    /// Cameras whose frames are shown to other processes: `single`, `multi`, or names with commas
+    /// between them; none if not given.
     #[arg(long, value_name = "single|multi|NAMES")]
     pub(crate) cameras: Option<String>,
     /// Names the topics on which scene, verdict and frames are shown.
     #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
     pub(crate) topics: String,
-    /// Inject a fault: kind=KIND,node=N and, if wanted, at=2s (after all drives were first enabled) and for=100ms.
-    /// Kinds: pull, reboot, emcy (with code=0x4310), following-error, slack, silence, late, short, garbage, no-heartbeat,
-    /// wrong-identity, bus-off, foreign-master. May be given several times.
+    /// Inject a fault: kind=KIND,node=N and, if wanted, at=2s (after all drives were first enabled)
+    /// and for=100ms. Kinds: pull, reboot, emcy (with code=0x4310), following-error, slack,
+    /// silence, late, short, garbage, no-heartbeat, wrong-identity, bus-off, foreign-master. May be
+    /// given several times.
     #[arg(long, value_name = "kind=KIND,node=N,...")]
     pub(crate) fault: Vec<InjectedFault>,
-    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or can. May be given several
-    /// times.
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety, scene or
+    /// can. May be given several times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
     /// Where they are shown.
@@ -59,7 +61,8 @@ pub(crate) struct DrivesArgs {
     /// Where they are shown in Foxglove.
     #[command(flatten)]
     pub(crate) viewers: FoxgloveArgs,
-    /// Write what happened as JSON at the end, to standard output if it is `-`; parent folders are made.
+    /// Write what happened as JSON at the end, to standard output if it is `-`; parent folders are
+    /// made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }

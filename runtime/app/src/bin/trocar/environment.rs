@@ -1,4 +1,5 @@
-//! `trocar environment`: a seed a line on standard input, how its episode ended as a line of JSON on standard output.
+//! `trocar environment`: a seed a line on standard input, how its episode ended as a line of JSON
+//! on standard output.
 
 use std::io::BufRead as _;
 

@@ -1,4 +1,5 @@
-//! `trocar eval`: trials in lockstep, their rate as exit code, and progress that a person or a log can follow.
+//! `trocar eval`: trials in lockstep, their rate as exit code, and progress that a person or a log
+//! can follow.
 
 use std::path::PathBuf;
 
@@ -25,8 +26,9 @@ pub(crate) struct EvalArgs {
     /// The task: a built-in one by name, or the path of a folder with scene.toml and safety.toml.
     #[arg(long, value_parser = TaskParser)]
     pub(crate) task: String,
-    /// `expert`, `noop`, `random`, `simulated-operator`, a checkpoint's directory, or `external`: a process of yours on the topics `external`, or on others with
-    /// `external:NAME`, such as one of the Python package in policy/python. With --jobs N: one a job, on `NAME-1` to `NAME-N`.
+    /// `expert`, `noop`, `random`, `simulated-operator`, a checkpoint's directory, or `external`: a
+    /// process of yours on the topics `external`, or on others with `external:NAME`, such as one of
+    /// the Python package in policy/python. With --jobs N: one a job, on `NAME-1` to `NAME-N`.
     #[arg(long)]
     pub(crate) policy: String,
     /// How an external policy is awaited.
@@ -47,17 +49,19 @@ pub(crate) struct EvalArgs {
     /// Controller configuration and changed values.
     #[command(flatten)]
     pub(crate) config: ConfigArgs,
-    /// Write the result as JSON, also when the evaluation is interrupted, to standard output if it is `-`; parent folders are made.
+    /// Write the result as JSON, also when the evaluation is interrupted, to standard output if it
+    /// is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
     /// Exit with 1 if the success rate is below this, 0 to 1.
     #[arg(long, value_name = "RATE", value_parser = share)]
     pub(crate) min_rate: Option<f64>,
-    /// Exit with 1 if the lower end of Wilson's 95 % interval of the success rate is below this, 0 to 1. With 50 of 50 it is 0.928.
+    /// Exit with 1 if the lower end of Wilson's 95 % interval of the success rate is below this, 0
+    /// to 1. With 50 of 50 it is 0.928.
     #[arg(long, value_name = "RATE", value_parser = share)]
     pub(crate) min_wilson: Option<f64>,
-    /// Keep log and animation of trials, those that were lost or all, as seed-SEED.mcap and seed-SEED.gif in a new or an empty
-    /// folder.
+    /// Keep log and animation of trials, those that were lost or all, as seed-SEED.mcap and
+    /// seed-SEED.gif in a new or an empty folder.
     #[arg(long, num_args = 2, value_names = ["failures|all", "DIR"])]
     pub(crate) keep: Vec<PathBuf>,
     /// Delay from observation to chunk, ms, up to 10000.

@@ -38,8 +38,9 @@ pub(crate) struct OpenHArgs {
     /// The dataset's directory.
     #[arg(value_name = "DATASET")]
     dataset: PathBuf,
-    /// A dataset of attempts that failed, such as `trocar record --failures` makes: they come along as the split failure, and are in no
-    /// other. It must have the arms, the rate and the cameras of the first.
+    /// A dataset of attempts that failed, such as `trocar record --failures` makes: they come along
+    /// as the split failure, and are in no other. It must have the arms, the rate and the cameras
+    /// of the first.
     #[arg(long, value_name = "DIR")]
     failures: Option<PathBuf>,
     /// The new dataset's directory; a new or an empty one.
@@ -48,8 +49,8 @@ pub(crate) struct OpenHArgs {
     /// What the demonstrations show, in words; the dataset's own if not given.
     #[arg(long, value_name = "TEXT", value_parser = clap::builder::NonEmptyStringValueParser::new())]
     instruction: Option<String>,
-    /// The instrument of psm1, and of psm2 behind a comma if it is another. If not given, that of the simulator for its recordings, and a
-    /// gap to be filled in for others.
+    /// The instrument of psm1, and of psm2 behind a comma if it is another. If not given, that of
+    /// the simulator for its recordings, and a gap to be filled in for others.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     tools: Vec<String>,
     /// How colour is compressed; h264 if not given. Needs ffmpeg 5.1 or newer.

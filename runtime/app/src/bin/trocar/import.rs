@@ -70,27 +70,30 @@ pub(crate) struct ImportArgs {
     /// What the demonstrations show, in words.
     #[arg(long)]
     pub(crate) task: String,
-    /// Joints and jaw within an episode (7 numbers an arm, of one or two arms: six joint positions in rad, insertion in m, and
-    /// the jaw in rad); of act observations/qpos if not given.
+    /// Joints and jaw within an episode (7 numbers an arm, of one or two arms: six joint positions
+    /// in rad, insertion in m, and the jaw in rad); of act observations/qpos if not given.
     #[arg(long, value_name = "NAME")]
     pub(crate) joints: Option<String>,
     /// Commanded joints and jaw within an episode, alike; of act action if not given.
     #[arg(long, value_name = "NAME", conflicts_with = "action_pose")]
     pub(crate) action_joints: Option<String>,
-    /// Commanded tip poses and jaws within an episode instead (8 numbers an arm: position in m, quaternion x, y, z, w in the
-    /// arm's RCM frame, jaw in rad).
+    /// Commanded tip poses and jaws within an episode instead (8 numbers an arm: position in m,
+    /// quaternion x, y, z, w in the arm's RCM frame, jaw in rad).
     #[arg(long, value_name = "NAME")]
     pub(crate) action_pose: Option<String>,
-    /// Cameras' frames within an episode, with commas between them: 8-bit RGB, or rows of JPEG. A camera is called what stands
-    /// behind the last /, without _image. Of act all in observations/images if not given.
+    /// Cameras' frames within an episode, with commas between them: 8-bit RGB, or rows of JPEG. A
+    /// camera is called what stands behind the last /, without _image. Of act all in
+    /// observations/images if not given.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(crate) images: Vec<String>,
-    /// JSON with six rows [twist, length, offset along, offset about, slides] (rad, m; modified Denavit-Hartenberg) of another
-    /// arm than a patient-side manipulator with a Large Needle Driver.
+    /// JSON with six rows [twist, length, offset along, offset about, slides] (rad, m; modified
+    /// Denavit-Hartenberg) of another arm than a patient-side manipulator with a Large Needle
+    /// Driver.
     #[arg(long, value_name = "FILE")]
     pub(crate) dh: Option<PathBuf>,
-    /// Bring frames to this size, such as 512x512, without keeping their proportions. Networks take sizes that are a whole
-    /// multiple of their own: train's small preset 256x256, lerobot and paper 512x512.
+    /// Bring frames to this size, such as 512x512, without keeping their proportions. Networks take
+    /// sizes that are a whole multiple of their own: train's small preset 256x256, lerobot and
+    /// paper 512x512.
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     pub(crate) resize: Option<(u32, u32)>,
     /// Keep colour as video instead of as PNG: far smaller, but lossy. Needs
@@ -114,10 +117,12 @@ pub(crate) struct LerobotArgs {
     /// The new dataset's directory; a new or an empty one.
     #[arg(long)]
     out: PathBuf,
-    /// What the demonstrations show, in words; their instruction if not given, where they have one alone.
+    /// What the demonstrations show, in words; their instruction if not given, where they have one
+    /// alone.
     #[arg(long, value_name = "TEXT", value_parser = clap::builder::NonEmptyStringValueParser::new())]
     task: Option<String>,
-    /// Only the episodes of this split of the dataset, such as perfect; all but those of failure if not given.
+    /// Only the episodes of this split of the dataset, such as perfect; all but those of failure if
+    /// not given.
     #[arg(long, value_name = "NAME")]
     split: Option<String>,
     /// Frames a second of raw recordings; by their timestamps if not given.

@@ -25,10 +25,12 @@ pub(crate) struct ImportLogArgs {
     /// The dataset's directory; a new or an empty one.
     #[arg(long)]
     out: PathBuf,
-    /// Steps a second. No more than the cameras have frames: logs of simulated runs have 25 in lockstep, in real time 5 or as many as the policy is shown.
+    /// Steps a second. No more than the cameras have frames: logs of simulated runs have 25 in
+    /// lockstep, in real time 5 or as many as the policy is shown.
     #[arg(long, default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..=1000))]
     fps: u32,
-    /// The cameras, with commas between them; the steps are frames of the first. All that the first log has if not given.
+    /// The cameras, with commas between them; the steps are frames of the first. All that the first
+    /// log has if not given.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     cameras: Vec<String>,
     /// Bring frames to this size, such as 512x512, without keeping their proportions.
@@ -38,8 +40,9 @@ pub(crate) struct ImportLogArgs {
     /// ffmpeg 5.1 or newer, here and where the dataset is read.
     #[arg(long, value_enum, value_name = "CODEC")]
     video: Option<Video>,
-    /// Take runs whose task was not done, that their operator marked as failures, or in which an arm had a fault, too. A robot's runs without a mark
-    /// are taken but for faults; one that was discarded is never taken.
+    /// Take runs whose task was not done, that their operator marked as failures, or in which an
+    /// arm had a fault, too. A robot's runs without a mark are taken but for faults; one that was
+    /// discarded is never taken.
     #[arg(long)]
     failures: bool,
     /// Write what was imported as JSON, to standard output if it is `-`; parent folders are made.

@@ -1,4 +1,5 @@
-//! The `trocar` command: reads the command line, calls the library, and turns the result into an exit code.
+//! The `trocar` command: reads the command line, calls the library, and turns the result into an
+//! exit code.
 //!
 //! Exit codes: 0 done, 1 failed at its job, 2 bad usage or bad input.
 
@@ -44,8 +45,9 @@ use operator::{mark, operate, watch};
 #[global_allocator]
 static ALLOCATOR: rt::CountingAllocator = rt::CountingAllocator;
 
-/// A panic ends the program at once, in whichever thread: nothing goes on beside one that is gone, and the drives see to the
-/// rest. Only where a dataset's file is read, which its reader panics at, is it bad input, and becomes an error that names the file.
+/// A panic ends the program at once, in whichever thread: nothing goes on beside one that is gone,
+/// and the drives see to the rest. Only where a dataset's file is read, which its reader panics at,
+/// is it bad input, and becomes an error that names the file.
 fn panics_end_the_program() {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {

@@ -12,7 +12,8 @@ use crate::console;
 /// Options of the operator's verbs.
 #[derive(Args, Debug)]
 pub(crate) struct OperatorArgs {
-    /// The run, by its process number; needed only if more than one of this user's runs is in real time.
+    /// The run, by its process number; needed only if more than one of this user's runs is in real
+    /// time.
     #[arg(long, value_name = "PROCESS")]
     run: Option<String>,
     /// Print the answer as JSON.
@@ -51,7 +52,8 @@ pub(crate) struct MarkArgs {
     /// How the run went.
     #[arg(value_enum)]
     mark: Mark,
-    /// What the run is called, a line of up to 64 characters; an empty one takes the label back. It stays as it is if not given.
+    /// What the run is called, a line of up to 64 characters; an empty one takes the label back. It
+    /// stays as it is if not given.
     #[arg(long, value_name = "TEXT")]
     label: Option<String>,
     /// Which run, and in which form it answers.
@@ -87,7 +89,8 @@ pub(crate) fn operate(command: Command, args: &OperatorArgs) -> Done {
 /// Options of `monitor`.
 #[derive(Args, Debug)]
 pub(crate) struct MonitorArgs {
-    /// The run, by its process number; needed only if more than one of this user's runs is in real time.
+    /// The run, by its process number; needed only if more than one of this user's runs is in real
+    /// time.
     #[arg(long, value_name = "PROCESS")]
     run: Option<String>,
 }

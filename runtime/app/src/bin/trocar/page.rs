@@ -12,12 +12,14 @@ use crate::console;
 /// Where a page is.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct PageArgs {
-    /// Show this in the browser, and steer from there what can be steered: a page at this address, 127.0.0.1:8080 if none is given, whose URL
-    /// with its token is printed. At other addresses than loopback, such as 0.0.0.0:8443, the page is reached by TLS; the SHA-256 of its
+    /// Show this in the browser, and steer from there what can be steered: a page at this address,
+    /// 127.0.0.1:8080 if none is given, whose URL with its token is printed. At other addresses
+    /// than loopback, such as 0.0.0.0:8443, the page is reached by TLS; the SHA-256 of its
     /// certificate is printed too. The page's stop button is no emergency stop.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_ADDRESS)]
     pub(crate) console: Option<Address>,
-    /// Serve --console, and --foxglove, by TLS with this certificate, PEM, its chain behind it, instead of a self-signed one.
+    /// Serve --console, and --foxglove, by TLS with this certificate, PEM, its chain behind it,
+    /// instead of a self-signed one.
     #[arg(long, value_name = "FILE", requires = "console_key")]
     pub(crate) console_cert: Option<PathBuf>,
     /// The private key of --console-cert, PEM.
@@ -28,8 +30,9 @@ pub(crate) struct PageArgs {
 /// Foxglove's server.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct FoxgloveArgs {
-    /// Serve Foxglove's WebSocket protocol at this address, 127.0.0.1:8765 if none is given: cameras, joints, frames, and, as far as there
-    /// are, shapes, filter, guard and events. Its URL with its token is printed. It moves nothing. A log is played where a page of --console
+    /// Serve Foxglove's WebSocket protocol at this address, 127.0.0.1:8765 if none is given:
+    /// cameras, joints, frames, and, as far as there are, shapes, filter, guard and events. Its URL
+    /// with its token is printed. It moves nothing. A log is played where a page of --console
     /// looks, or else in its own time, over and over. config/foxglove.json is a layout.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = FOXGLOVE_ADDRESS)]
     pub(crate) foxglove: Option<Address>,
@@ -38,8 +41,8 @@ pub(crate) struct FoxgloveArgs {
 /// What a person in a headset sees.
 #[derive(Args, Clone, Copy, Debug)]
 pub(crate) struct HeadsetArgs {
-    /// Stereo in the headset: a right eye 5 mm beside the endoscope, which is the left one, rendered while a headset shows it. Not with --vary
-    /// views.
+    /// Stereo in the headset: a right eye 5 mm beside the endoscope, which is the left one,
+    /// rendered while a headset shows it. Not with --vary views.
     #[arg(long, requires = "console")]
     pub(crate) stereo: bool,
 }
@@ -58,16 +61,20 @@ impl HeadsetArgs {
 /// What a person moves the arms with.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct DeskArgs {
-    /// Move the arms with a keyboard, gamepad or SpaceMouse of this computer, such as /dev/input/event5, in place of a page's: the controls are
-    /// the page's own; G or Start starts a demonstration, Y or A keeps it, Z or Select has it done again, X or B discards it; a robot's run is
-    /// marked a success by Y or A, and to be discarded by X or B. Beside a policy whoever takes the clutch drives; B of a keyboard, or RB, hands
-    /// back to it. Several may be given; of two arms the first then moves psm1 and the others psm2. A keyboard moves the arms whichever window has the focus. A file or pipe of recorded events will do as well.
+    /// Move the arms with a keyboard, gamepad or SpaceMouse of this computer, such as
+    /// /dev/input/event5, in place of a page's: the controls are the page's own; G or Start starts
+    /// a demonstration, Y or A keeps it, Z or Select has it done again, X or B discards it; a
+    /// robot's run is marked a success by Y or A, and to be discarded by X or B. Beside a policy
+    /// whoever takes the clutch drives; B of a keyboard, or RB, hands back to it. Several may be
+    /// given; of two arms the first then moves psm1 and the others psm2. A keyboard moves the arms
+    /// whichever window has the focus. A file or pipe of recorded events will do as well.
     #[arg(long, value_name = "PATH")]
     pub(crate) hands: Vec<PathBuf>,
 }
 
 impl DeskArgs {
-    /// The console of a session whose hands are these devices: the `opened` one, or one that listens nowhere.
+    /// The console of a session whose hands are these devices: the `opened` one, or one that
+    /// listens nowhere.
     pub(crate) fn take_hands(
         &self,
         opened: Option<Console>,

@@ -1,4 +1,5 @@
-//! `trocar policy`: a checkpoint that answers sessions of other processes; and how such a session calls for one.
+//! `trocar policy`: a checkpoint that answers sessions of other processes; and how such a session
+//! calls for one.
 
 use clap::Args;
 use clap::builder::{NonEmptyStringValueParser, RangedU64ValueParser};
@@ -20,7 +21,8 @@ pub(crate) struct ExternalArgs {
     /// How long an external policy may take to appear, to reset and to answer, s, up to 86400.
     #[arg(long, value_name = "S", default_value_t = DEFAULT_WITHIN_S, value_parser = within())]
     pub(crate) policy_timeout: u64,
-    /// Language instruction of the task, passed to an external policy; the task's name if not given.
+    /// Language instruction of the task, passed to an external policy; the task's name if not
+    /// given.
     #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
     pub(crate) instruction: Option<String>,
     /// What a simulated operator is like.

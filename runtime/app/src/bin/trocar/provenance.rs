@@ -4,7 +4,8 @@ use serde_json::Value;
 use trocar_data::dataset::Notes;
 use trocar_data::export::Provenance;
 
-/// Of a recording whose options are noted, which are those of `trocar record`; of any other nothing is known.
+/// Of a recording whose options are noted, which are those of `trocar record`; of any other nothing
+/// is known.
 pub(crate) fn provenance(notes: &Notes) -> Provenance {
     let Some(options) = notes.options.as_ref() else {
         return Provenance::default();

@@ -25,12 +25,14 @@ use crate::scene_args::{ConfigArgs, Inputs, ScenesArgs};
 pub(crate) enum Demonstrator {
     /// The task's scripted expert.
     Expert,
-    /// A simulated operator in lockstep: with visual delay and hand tremor, through teleoperation, as a person's do.
+    /// A simulated operator in lockstep: with visual delay and hand tremor, through teleoperation,
+    /// as a person's do.
     SimulatedOperator,
     /// A person's hands, in real time over --console or from --hands.
     Teleop,
-    /// The policy of --policy in real time, from which a person takes over where it fails, over --console or from --hands (DAgger). The
-    /// dataset's column `intervention` says who drove in each frame.
+    /// The policy of --policy in real time, from which a person takes over where it fails, over
+    /// --console or from --hands (DAgger). The dataset's column `intervention` says who drove in
+    /// each frame.
     Intervention,
 }
 
@@ -59,14 +61,15 @@ pub(crate) struct RecordArgs {
     /// With --source intervention: the policy that drives, as `trocar run` takes it.
     #[arg(long, value_name = "POLICY")]
     pub(crate) policy: Option<String>,
-    /// Where the recording is shown; with --source teleop and intervention a person starts, does, keeps and discards the episodes there.
+    /// Where the recording is shown; with --source teleop and intervention a person starts, does,
+    /// keeps and discards the episodes there.
     #[command(flatten)]
     pub(crate) page: PageArgs,
     /// Where it is shown in Foxglove.
     #[command(flatten)]
     pub(crate) viewers: FoxgloveArgs,
-    /// Two eyes: a right one 5 mm beside the endoscope, which is the left one, recorded as the camera `endoscope_right` and shown in a headset.
-    /// Not with --vary views.
+    /// Two eyes: a right one 5 mm beside the endoscope, which is the left one, recorded as the
+    /// camera `endoscope_right` and shown in a headset. Not with --vary views.
     #[arg(long)]
     pub(crate) stereo: bool,
     /// What moves the arms besides.
@@ -75,49 +78,54 @@ pub(crate) struct RecordArgs {
     /// The dataset's directory; a new or an empty one, but for --resume.
     #[arg(long)]
     pub(crate) out: PathBuf,
-    /// Go on with the recording in the dataset's directory, until it has that many episodes in all. What it was recorded with must be
-    /// given as it was, its seed too; --jobs and --episodes may be others.
+    /// Go on with the recording in the dataset's directory, until it has that many episodes in all.
+    /// What it was recorded with must be given as it was, its seed too; --jobs and --episodes may
+    /// be others.
     #[arg(long)]
     pub(crate) resume: bool,
-    /// Keep attempts that failed too, as a dataset of their own in this directory, a new or an empty one; each one's reason is noted. Of a
-    /// person's those that are discarded. Open-H-Embodiment's split `failure` is made from it:
-    /// `trocar export open-h --failures`.
+    /// Keep attempts that failed too, as a dataset of their own in this directory, a new or an
+    /// empty one; each one's reason is noted. Of a person's those that are discarded.
+    /// Open-H-Embodiment's split `failure` is made from it: `trocar export open-h --failures`.
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     pub(crate) failures: Option<PathBuf>,
     /// Seed of the first attempt; attempt i has seed + i, which wraps around past 2^64 - 1.
     #[arg(long, default_value_t = 0)]
     pub(crate) seed: u64,
-    /// Episodes at a time. They are written in order: a recording that is cut off loses no more than these, which are in progress
-    /// or wait for an earlier one.
+    /// Episodes at a time. They are written in order: a recording that is cut off loses no more
+    /// than these, which are in progress or wait for an earlier one.
     #[arg(long, default_value_t = 1, value_parser = threads())]
     pub(crate) jobs: usize,
     /// The scenes.
     #[command(flatten)]
     pub(crate) scenes: ScenesArgs,
-    /// Disturb this share of the demonstrations, above 0, up to 1 (0.5 if no number is given): offset commands, missed
-    /// grasps, slips, or the thing slides away, and the expert recovers. The recorded action is the expert's, not the disturbed
-    /// one. They may take twice the task's time limit.
+    /// Disturb this share of the demonstrations, above 0, up to 1 (0.5 if no number is given):
+    /// offset commands, missed grasps, slips, or the thing slides away, and the expert recovers.
+    /// The recorded action is the expert's, not the disturbed one. They may take twice the task's
+    /// time limit.
     #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.5", value_parser = share_above_0)]
     pub(crate) disturb: Option<f64>,
-    /// What the demonstrations do in words, for policies that read it: the dataset's `task`, in the place of the task's name.
+    /// What the demonstrations do in words, for policies that read it: the dataset's `task`, in the
+    /// place of the task's name.
     #[arg(long, value_name = "TEXT", value_parser = NonEmptyStringValueParser::new())]
     pub(crate) instruction: Option<String>,
-    /// Cameras whose frames are recorded: `single` (the one that the paper gives the task's policies), `multi` (that one and
-    /// the wrists), or names with commas between them. A camera that is not named is not drawn.
+    /// Cameras whose frames are recorded: `single` (the one that the paper gives the task's
+    /// policies), `multi` (that one and the wrists), or names with commas between them. A camera
+    /// that is not named is not drawn.
     #[arg(long, value_name = "single|multi|NAMES", default_value = "endoscope")]
     pub(crate) cameras: String,
     /// Keep colour as video instead of as PNG: far smaller, but lossy. Needs
     /// ffmpeg 5.1 or newer, here and where the dataset is read.
     #[arg(long, value_enum, value_name = "CODEC")]
     pub(crate) video: Option<Video>,
-    /// Keep depth (rounded to 0.02 mm, up to 1.31 m) and instance ids of these cameras too, which point clouds are made
-    /// from.
+    /// Keep depth (rounded to 0.02 mm, up to 1.31 m) and instance ids of these cameras too, which
+    /// point clouds are made from.
     #[arg(long)]
     pub(crate) depth: bool,
     /// Controller configuration and changed values.
     #[command(flatten)]
     pub(crate) config: ConfigArgs,
-    /// Write what was recorded, attempt by attempt, as JSON, to standard output if it is `-`; parent folders are made.
+    /// Write what was recorded, attempt by attempt, as JSON, to standard output if it is `-`;
+    /// parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }

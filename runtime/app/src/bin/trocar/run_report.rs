@@ -53,7 +53,8 @@ pub(crate) fn last_words(args: &RunArgs, summary: &RunSummary) -> String {
     format!("{}{}{hint}", summary.reason, summary.said.clause())
 }
 
-/// Where the log of a robot's run is that was asked for, and what makes a dataset of it; only the first of a log that makes none.
+/// Where the log of a robot's run is that was asked for, and what makes a dataset of it; only the
+/// first of a log that makes none.
 pub(crate) fn import_hint(args: &RunArgs, summary: &RunSummary) -> Option<String> {
     let log = args.log.as_ref().filter(|_| args.task.is_none())?;
     let shown = log.display();

@@ -16,8 +16,8 @@ use crate::commands::task_changes;
 pub(crate) enum ViewChoice {
     /// As in the scene file, where demonstrations are recorded.
     Train,
-    /// Endoscope and side camera shifted along each of their axes by up to 1 cm and turned about each by up to 5 degrees,
-    /// uniformly, by the episode's seed.
+    /// Endoscope and side camera shifted along each of their axes by up to 1 cm and turned about
+    /// each by up to 5 degrees, uniformly, by the episode's seed.
     View1,
     /// Endoscope and side camera swapped.
     View2,
@@ -36,11 +36,12 @@ impl From<ViewChoice> for View {
 /// Which scene it is, of those that a task has.
 #[derive(Args, Debug)]
 pub(crate) struct SceneArgs {
-    /// The task's scene instead of the scene.toml in its folder: a changed copy of that file. The arms stay where they are;
-    /// the task's name and safety limits do not change with it.
+    /// The task's scene instead of the scene.toml in its folder: a changed copy of that file. The
+    /// arms stay where they are; the task's name and safety limits do not change with it.
     #[arg(long, value_name = "FILE")]
     pub(crate) scene: Option<PathBuf>,
-    /// The needle, N1 to N5 in needle-lift; N1, which demonstrations are recorded with, if not given.
+    /// The needle, N1 to N5 in needle-lift; N1, which demonstrations are recorded with, if not
+    /// given.
     #[arg(long, value_name = "NAME")]
     pub(crate) needle: Option<String>,
     /// From where the cameras look; wrist cameras stay as they are.
@@ -55,13 +56,15 @@ pub(crate) enum VaryChoice {
     Needles,
     /// Where endoscope and side camera stand: as with --view view1.
     Views,
-    /// The light guide's place (2 cm along the lens' axes) and direction (7 degrees), its brightness and that of the light from
-    /// all around (0.63 to 1.6 times), the colour of the light (about 5100 K to 9000 K), and colours of things (0.8 to 1.25
-    /// times, and 10 % a channel).
+    /// The light guide's place (2 cm along the lens' axes) and direction (7 degrees), its
+    /// brightness and that of the light from all around (0.63 to 1.6 times), the colour of the
+    /// light (about 5100 K to 9000 K), and colours of things (0.8 to 1.25 times, and 10 % a
+    /// channel).
     Light,
-    /// Each camera's lens and sensor: distortion (the corner's rays 12 % inwards to 2 % outwards), vignette (up to half of the
-    /// corner's light), exposure (0.71 to 1.4 times), noise, and in three of ten episodes each smoke, blood and condensate. Not
-    /// with --depth, whose lens is one for the dataset.
+    /// Each camera's lens and sensor: distortion (the corner's rays 12 % inwards to 2 % outwards),
+    /// vignette (up to half of the corner's light), exposure (0.71 to 1.4 times), noise, and in
+    /// three of ten episodes each smoke, blood and condensate. Not with --depth, whose lens is one
+    /// for the dataset.
     Lens,
     /// Of lens the distortion alone, as it draws it; so are the following. Not with --depth.
     Distortion,
@@ -103,7 +106,8 @@ pub(crate) struct ScenesArgs {
     /// What all have in common.
     #[command(flatten)]
     pub(crate) scene: SceneArgs,
-    /// Domain randomisation for each episode, from its seed, beyond where things lie; several with commas between them.
+    /// Domain randomisation for each episode, from its seed, beyond where things lie; several with
+    /// commas between them.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     vary: Vec<VaryChoice>,
 }
@@ -124,7 +128,8 @@ pub(crate) struct ConfigArgs {
     /// Controller configuration instead of the built-in config/control.toml.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety or scene. May be given several times.
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is control, safety or scene.
+    /// May be given several times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     set: Vec<Change>,
 }

@@ -24,7 +24,8 @@ pub(crate) struct SegmentArgs {
     /// The model: a .safetensors of `train-segmenter`, or a TorchScript file.
     #[arg(long, value_name = "FILE")]
     model: PathBuf,
-    /// What a TorchScript model wants to be shown and what its classes are: vista3d, or a file; MODEL with .toml at its end if not given.
+    /// What a TorchScript model wants to be shown and what its classes are: vista3d, or a file;
+    /// MODEL with .toml at its end if not given.
     #[arg(long, value_name = "NAME|FILE")]
     settings: Option<String>,
     /// The label volume, .nii or .nii.gz; parent folders are made.
@@ -36,8 +37,8 @@ pub(crate) struct SegmentArgs {
     /// How overlapping windows are weighted; the model's own if not given.
     #[arg(long, value_enum)]
     weighting: Option<WindowWeighting>,
-    /// Bound of the memory for scores, GB, 0.001 to 1000: what exceeds it is done in strips. The network's own memory for a window is not
-    /// counted.
+    /// Bound of the memory for scores, GB, 0.001 to 1000: what exceeds it is done in strips. The
+    /// network's own memory for a window is not counted.
     #[arg(long, value_name = "GB", default_value_t = 4.0, value_parser = memory_gb)]
     memory_gb: f64,
     /// Where the network computes.

@@ -27,8 +27,9 @@ pub(crate) struct SheetArgs {
     /// The file; parent folders are made.
     #[arg(long, value_name = "FILE.png")]
     pub(crate) out: PathBuf,
-    /// A task to show, by name or the path of its folder; may be given several times. All built-in ones if not given. A
-    /// needle goes to the tasks that have a choice; a scene file needs one task.
+    /// A task to show, by name or the path of its folder; may be given several times. All built-in
+    /// ones if not given. A needle goes to the tasks that have a choice; a scene file needs one
+    /// task.
     #[arg(long, value_parser = TaskParser)]
     pub(crate) task: Vec<String>,
     /// The scene.

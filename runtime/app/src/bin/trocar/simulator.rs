@@ -19,7 +19,8 @@ use crate::scene_args::{Inputs, SceneArgs};
 /// Options of `simulator`.
 #[derive(Args, Debug)]
 pub(crate) struct SimulatorArgs {
-    /// The task whose arms and world these are: a built-in one by name, or the path of a folder. The run's must be the same.
+    /// The task whose arms and world these are: a built-in one by name, or the path of a folder.
+    /// The run's must be the same.
     #[arg(long, value_parser = TaskParser, default_value = "needle-lift")]
     pub(crate) task: String,
     /// Random seed of the scene; the run's must be the same.
@@ -28,14 +29,15 @@ pub(crate) struct SimulatorArgs {
     /// The scene.
     #[command(flatten)]
     pub(crate) scene: SceneArgs,
-    /// Cameras whose frames are shown to other processes: `single`, `multi`, or names with commas between them; none if not
-    /// given.
+    /// Cameras whose frames are shown to other processes: `single`, `multi`, or names with commas
+    /// between them; none if not given.
     #[arg(long, value_name = "single|multi|NAMES")]
     pub(crate) cameras: Option<String>,
     /// Names the topics on which the arms are commanded, and scene, verdict and frames are shown.
     #[arg(long, value_name = "NAME", default_value = DEFAULT_TOPICS)]
     pub(crate) topics: String,
-    /// Override one configuration value: FILE.KEY=VALUE, where FILE is safety or scene. May be given several times.
+    /// Override one configuration value: FILE.KEY=VALUE, where FILE is safety or scene. May be
+    /// given several times.
     #[arg(long, value_name = "FILE.KEY=VALUE")]
     pub(crate) set: Vec<Change>,
     /// Where the world is shown.
@@ -44,7 +46,8 @@ pub(crate) struct SimulatorArgs {
     /// Where it is shown in Foxglove.
     #[command(flatten)]
     pub(crate) viewers: FoxgloveArgs,
-    /// Write what happened as JSON at the end, to standard output if it is `-`; parent folders are made.
+    /// Write what happened as JSON at the end, to standard output if it is `-`; parent folders are
+    /// made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }

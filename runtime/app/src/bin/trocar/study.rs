@@ -23,10 +23,12 @@ pub(crate) struct StudyArgs {
     /// The study's file, such as config/studies/sufia-bc.toml.
     #[arg(value_name = "FILE.toml")]
     pub(crate) file: PathBuf,
-    /// The study's folder, where cells are kept and looked for; runs/NAME for NAME.toml if not given.
+    /// The study's folder, where cells are kept and looked for; runs/NAME for NAME.toml if not
+    /// given.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-    /// Run this part of it: the i-th of n, from 1. Shards may share a folder, or have one each, which `report` takes together.
+    /// Run this part of it: the i-th of n, from 1. Shards may share a folder, or have one each,
+    /// which `report` takes together.
     #[arg(long, value_name = "I/N")]
     pub(crate) shard: Option<Shard>,
     /// List the cells and how they stand, and run nothing.
@@ -35,12 +37,13 @@ pub(crate) struct StudyArgs {
     /// Cores that cells share; all if not given.
     #[arg(long, value_name = "CORES", value_parser = RangedU64ValueParser::<usize>::new().range(1..=4096))]
     pub(crate) jobs: Option<usize>,
-    /// GPUs that cells share, as CUDA_VISIBLE_DEVICES names them, with commas between them; all that this libtorch sees if not
-    /// given.
+    /// GPUs that cells share, as CUDA_VISIBLE_DEVICES names them, with commas between them; all
+    /// that this libtorch sees if not given.
     #[arg(long, value_name = "LIST")]
     pub(crate) gpus: Option<String>,
-    /// A label that stands for the program in the cells' hashes. If not given, the executable's hash does: after any change of
-    /// it everything is made anew. With a label you vouch that all programs of that label give the same results.
+    /// A label that stands for the program in the cells' hashes. If not given, the executable's
+    /// hash does: after any change of it everything is made anew. With a label you vouch that all
+    /// programs of that label give the same results.
     #[arg(long, value_name = "LABEL")]
     pub(crate) code: Option<String>,
 }
@@ -143,10 +146,12 @@ pub(crate) struct ReportArgs {
     /// The study's folder; those of its shards, if they have one each.
     #[arg(value_name = "DIR", required = true)]
     pub(crate) folders: Vec<PathBuf>,
-    /// The report: one HTML file, or Markdown with its images in a folder beside it. Parent folders are made.
+    /// The report: one HTML file, or Markdown with its images in a folder beside it. Parent folders
+    /// are made.
     #[arg(long, value_name = "FILE.html|FILE.md")]
     pub(crate) out: PathBuf,
-    /// Write the figures of its tables as JSON, to standard output if it is `-`; parent folders are made.
+    /// Write the figures of its tables as JSON, to standard output if it is `-`; parent folders are
+    /// made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 }

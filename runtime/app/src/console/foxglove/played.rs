@@ -1,4 +1,5 @@
-//! A log as a viewer is told of it: where a page of the console has scrubbed or played to, or else in its own time, over and over.
+//! A log as a viewer is told of it: where a page of the console has scrubbed or played to, or else
+//! in its own time, over and over.
 
 use std::collections::BTreeMap;
 
@@ -19,8 +20,8 @@ pub(super) struct Played {
 }
 
 impl Played {
-    /// Goes on to `place`, s from the log's first tick, or where the time that is `now` leads: the log's time there and what is new of
-    /// `topics`; nothing if it is there already.
+    /// Goes on to `place`, s from the log's first tick, or where the time that is `now` leads: the
+    /// log's time there and what is new of `topics`; nothing if it is there already.
     pub(super) fn go_on(
         &mut self,
         log: &LogView,

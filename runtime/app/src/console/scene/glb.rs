@@ -67,7 +67,8 @@ impl Writer {
             .push(json!({"name": name, "mesh": mesh, "extras": {"kind": kind}}));
     }
 
-    /// Adds a node with a camera. Ours look along z with y down, glTF's along -z with y up; the node's frame is ours, its child's is glTF's.
+    /// Adds a node with a camera. Ours look along z with y down, glTF's along -z with y up; the
+    /// node's frame is ours, its child's is glTF's.
     pub(super) fn camera(&mut self, name: &str, lens: &Intrinsics, pose: &Pose) {
         let (width, height) = (f64::from(lens.width), f64::from(lens.height));
         let perspective = json!({

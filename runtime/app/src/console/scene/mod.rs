@@ -1,7 +1,8 @@
-//! The scene in three dimensions: shapes once, as a binary glTF file, then where everything is, as often as the simulation says.
+//! The scene in three dimensions: shapes once, as a binary glTF file, then where everything is, as
+//! often as the simulation says.
 //!
-//! Everything is in the scene frame, in metres. `glb` writes the file, `safety` what of the limits is drawn; `shapes` are the same shapes one
-//! by one.
+//! Everything is in the scene frame, in metres. `glb` writes the file, `safety` what of the limits
+//! is drawn; `shapes` are the same shapes one by one.
 
 mod glb;
 mod safety;
@@ -36,7 +37,8 @@ type BentPositions = Vec<(usize, Vec<[f32; 3]>)>;
 
 /// The file of `model` as it is in `start`, with the limits of `arms`.
 ///
-/// Its first nodes are the model's visuals, in their order; the next ones its cameras; what follows does not move.
+/// Its first nodes are the model's visuals, in their order; the next ones its cameras; what follows
+/// does not move.
 pub(super) fn file(
     model: &SceneModel,
     start: &SceneSnapshot,
@@ -53,7 +55,8 @@ pub(super) fn file(
     Ok(writer.finish().into())
 }
 
-/// The scene with arms alone: of each where its remote centre is in the scene, and its joints with the jaw, rad (insertion m).
+/// The scene with arms alone: of each where its remote centre is in the scene, and its joints with
+/// the jaw, rad (insertion m).
 pub(crate) fn of_arms(arms: impl Iterator<Item = (Pose, [f64; AXES])>) -> SceneSnapshot {
     let mut bodies = [None; ARMS_MAX];
     for (body, (base, axes)) in bodies.iter_mut().zip(arms) {
@@ -70,7 +73,8 @@ pub(crate) fn of_arms(arms: impl Iterator<Item = (Pose, [f64; AXES])>) -> SceneS
     }
 }
 
-/// Whether a camera that says `lens` and `camera_in_scene` of itself says where it is: one that doesn't has no focal length, or stands at the origin.
+/// Whether a camera that says `lens` and `camera_in_scene` of itself says where it is: one that
+/// doesn't has no focal length, or stands at the origin.
 pub(crate) fn is_placed(lens: &Intrinsics, camera_in_scene: &Pose) -> bool {
     let focal = [lens.fx, lens.fy].map(|length| length > 0.0 && length.is_finite());
     let numbers = seven(camera_in_scene).into_iter();
@@ -79,7 +83,8 @@ pub(crate) fn is_placed(lens: &Intrinsics, camera_in_scene: &Pose) -> bool {
         && *camera_in_scene != Pose::identity()
 }
 
-/// Adds those of the cameras `names` that `model` has, as they are in `snapshot`, to `lenses`, each in its place among `names`.
+/// Adds those of the cameras `names` that `model` has, as they are in `snapshot`, to `lenses`, each
+/// in its place among `names`.
 pub(super) fn add_lenses(
     model: &SceneModel,
     snapshot: &SceneSnapshot,
@@ -95,9 +100,10 @@ pub(super) fn add_lenses(
     }
 }
 
-/// Where everything is at one instant, little endian: the head of a picture, then how many poses of visuals, of cameras and how many
-/// bent shapes there are (u32 each); poses as x, y, z in metres and the quaternion x, y, z, w; of each bent shape the number of its visual and of its
-/// vertices (u32 each), then all positions and all normals. Numbers are f32.
+/// Where everything is at one instant, little endian: the head of a picture, then how many poses of
+/// visuals, of cameras and how many bent shapes there are (u32 each); poses as x, y, z in metres
+/// and the quaternion x, y, z, w; of each bent shape the number of its visual and of its vertices
+/// (u32 each), then all positions and all normals. Numbers are f32.
 pub(super) fn message(
     model: &mut SceneModel,
     snapshot: &SceneSnapshot,
@@ -118,7 +124,8 @@ pub(super) fn message(
     Ok(bytes)
 }
 
-/// The poses of visuals and of cameras that a message of [`message`] says; none if it is no such message.
+/// The poses of visuals and of cameras that a message of [`message`] says; none if it is no such
+/// message.
 pub(super) fn places(message: &[u8]) -> Option<(Vec<Pose>, Vec<Pose>)> {
     let [visuals, cameras, _] = counts(message)?;
     let poses = message.get(encode::HEAD + 12..)?.chunks_exact(POSE_BYTES);

@@ -1,4 +1,5 @@
-//! The scene's shapes one by one, each a file and a frame of its own: what a viewer gets that moves frames and not the nodes of a file.
+//! The scene's shapes one by one, each a file and a frame of its own: what a viewer gets that moves
+//! frames and not the nodes of a file.
 
 use hal::{Intrinsics, Pose};
 use trocar_log::live::BentShape;
@@ -26,8 +27,8 @@ struct Bending {
 }
 
 impl Shapes {
-    /// Those of `model`, of which `bent` bend. A shape that bends has a frame and no file, which would show it as it was at first: see
-    /// [`Self::bent`].
+    /// Those of `model`, of which `bent` bend. A shape that bends has a frame and no file, which
+    /// would show it as it was at first: see [`Self::bent`].
     pub(in super::super) fn new(model: &SceneModel, bent: &[usize]) -> Self {
         let visuals = model.visuals().iter().enumerate().map(|(index, visual)| {
             let mut writer = Writer::default();

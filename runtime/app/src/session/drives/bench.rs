@@ -1,4 +1,5 @@
-//! The drives of all arms with the world that they move, or with nothing but their motors, in a time of their own.
+//! The drives of all arms with the world that they move, or with nothing but their motors, in a
+//! time of their own.
 
 use hal::count::{count_u8, count_u32};
 use hal::joints::INSERTION;
@@ -83,7 +84,8 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    /// Puts the drives of the first `count` arms of `can` on the lines of their interfaces; `simulation` has as many, if there is one.
+    /// Puts the drives of the first `count` arms of `can` on the lines of their interfaces;
+    /// `simulation` has as many, if there is one.
     pub(super) fn new(
         mut simulation: Option<Simulation>,
         (can, count): (&CanConfig, usize),

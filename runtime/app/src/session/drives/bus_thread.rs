@@ -28,7 +28,8 @@ const PRIORITY: u8 = 70;
 /// The drives are looked after at least this often, ns.
 const TURN_NS: u64 = 1_000_000;
 
-/// When the master has spoken, its drives are looked after this part of its cycle later at the latest.
+/// When the master has spoken, its drives are looked after this part of its cycle later at the
+/// latest.
 const SOON: u64 = 4;
 
 /// Time from one look to the next at least, unless something comes, ns.
@@ -37,8 +38,9 @@ const WAIT_NS_MIN: u64 = 20_000;
 /// Time between two looks for a page, ns of the drives.
 const SEEN_NS: u64 = 50_000_000;
 
-/// The longest time that passes for the drives at once, ns. What this thread was kept from its work for beyond that does not
-/// pass for them at all: no real drive stands still because a computer is busy.
+/// The longest time that passes for the drives at once, ns. What this thread was kept from its work
+/// for beyond that does not pass for them at all: no real drive stands still because a computer is
+/// busy.
 const TURN_NS_MAX: u64 = 5_000_000;
 
 /// What one instant of the world looks like.

@@ -1,7 +1,8 @@
 //! Seven drives on a bus that turn one simulated arm.
 //!
-//! A drive counts, in the space of the plan; the plant knows joints, or actuators behind the cable coupling. Each drive has
-//! torque of its own: an axis without it is limp, as the plant has it, whatever the others do.
+//! A drive counts, in the space of the plan; the plant knows joints, or actuators behind the cable
+//! coupling. Each drive has torque of its own: an axis without it is limp, as the plant has it,
+//! whatever the others do.
 
 use hal::tail::TAIL_AXES;
 use hal::{ArmState, JOINT_COUNT, JointVector};
@@ -78,7 +79,8 @@ impl Coupling {
         }
     }
 
-    /// Turns each motor to where its drive wants it, if that has torque and the motor is not slack: nothing else is moved.
+    /// Turns each motor to where its drive wants it, if that has torque and the motor is not slack:
+    /// nothing else is moved.
     pub(super) fn turn_freely(&self, network: &mut Network<Terminal>) {
         for (axis, slack) in self.plan.axes.iter().zip(self.slack) {
             let Some(motor) = network.motor(axis.node) else {
@@ -157,7 +159,8 @@ mod tests {
         network
     }
 
-    /// Drives with torque that want their axes to be where `wanted` is, of which `limp` has no torque.
+    /// Drives with torque that want their axes to be where `wanted` is, of which `limp` has no
+    /// torque.
     fn lead(space: Space, limp: Option<usize>) -> (ArmState, ArmState) {
         let task = TaskConfig::built_in("needle-lift").unwrap();
         let mut simulation = Simulation::new(&task, 0, Rendering::Off).unwrap();

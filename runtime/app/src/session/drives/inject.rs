@@ -148,8 +148,8 @@ impl Injector {
         }
     }
 
-    /// Begins and ends what is due so long after the drives were enabled; `outside` does what is not the drives'. Gives the
-    /// place of the fault that has just begun, if one has.
+    /// Begins and ends what is due so long after the drives were enabled; `outside` does what is
+    /// not the drives'. Gives the place of the fault that has just begun, if one has.
     pub(super) fn turn(
         &mut self,
         since_ns: u64,

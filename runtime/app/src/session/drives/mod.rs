@@ -1,4 +1,5 @@
-//! Emulated drives on real buses: seven an arm, which move the simulated arms of a task, or nothing but their motors.
+//! Emulated drives on real buses: seven an arm, which move the simulated arms of a task, or nothing
+//! but their motors.
 //!
 //! ```text
 //!  buses <──> bus thread (SCHED_FIFO): drives and the time that frames take, and the world every millisecond
@@ -7,9 +8,10 @@
 //!             first thread: scene, verdict and camera frames on topics; a line for whatever stopped a drive; the console's page
 //! ```
 //!
-//! To whoever leads them they are nodes on a bus and nothing else. The topics are for those who look at the world: scripted
-//! experts, cameras, and whoever wants to know how the task went. The episode begins when all drives of all arms are
-//! enabled for the first time; before that nothing is judged.
+//! To whoever leads them they are nodes on a bus and nothing else. The topics are for those who
+//! look at the world: scripted experts, cameras, and whoever wants to know how the task went. The
+//! episode begins when all drives of all arms are enabled for the first time; before that nothing
+//! is judged.
 
 mod bench;
 pub(super) mod bus_thread;
@@ -120,8 +122,8 @@ fn open_world(
     Ok((world, show))
 }
 
-/// Runs the drives of the arms until a signal comes. `say` gets a line when they are there, when the episode begins,
-/// for whatever stops a drive, and for the verdict.
+/// Runs the drives of the arms until a signal comes. `say` gets a line when they are there, when
+/// the episode begins, for whatever stops a drive, and for the verdict.
 ///
 /// # Errors
 /// From the configuration, the buses, the simulation or the topics.

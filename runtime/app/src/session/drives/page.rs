@@ -29,7 +29,8 @@ pub(super) struct DrivesPage {
     buses: Buses,
     lines: VecDeque<Line>,
     now: TimeNs,
-    /// The drives at the beginning of the time that loads are taken over, and each bus's load in the one before.
+    /// The drives at the beginning of the time that loads are taken over, and each bus's load in
+    /// the one before.
     before: Option<Seen>,
     loads: Vec<f64>,
 }
@@ -87,7 +88,8 @@ struct BusStatus<'a> {
 }
 
 impl DrivesPage {
-    /// Of the drives that `seen` reports, whose plans have these spaces, on buses with these interfaces.
+    /// Of the drives that `seen` reports, whose plans have these spaces, on buses with these
+    /// interfaces.
     pub(super) fn new(
         console: Console,
         seen: MailboxReader<Seen>,

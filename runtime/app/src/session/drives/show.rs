@@ -1,4 +1,5 @@
-//! What a world shows to other processes: its scene, how the task stands and the verdict, and what its cameras see.
+//! What a world shows to other processes: its scene, how the task stands and the verdict, and what
+//! its cameras see.
 
 use hal::ARM_NAMES;
 use trocar_tasks::cameras::{SceneCameras, SceneModel};
@@ -46,8 +47,8 @@ pub(in crate::session) struct Show {
 }
 
 impl Show {
-    /// Opens the topics, and the renderer if there are cameras to draw; draws `start` once, since the first image takes far
-    /// longer than the others.
+    /// Opens the topics, and the renderer if there are cameras to draw; draws `start` once, since
+    /// the first image takes far longer than the others.
     pub(in crate::session) fn open(
         plan: &Plan,
         options: &ShowOptions<'_>,
@@ -131,7 +132,8 @@ impl Show {
         Ok(())
     }
 
-    /// Hands the newest instant to the page, if there is one that has drawn the one before, and draws one of its cameras.
+    /// Hands the newest instant to the page, if there is one that has drawn the one before, and
+    /// draws one of its cameras.
     fn show_on_page(&mut self, shown: &Shown, say: &mut dyn FnMut(&str)) {
         if let (Some(page), Some(cameras)) = (&mut self.page, &self.cameras)
             && page.are_drawn()

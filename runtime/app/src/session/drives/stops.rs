@@ -64,9 +64,11 @@ pub struct Stop {
     pub at: TimeNs,
     /// The last SYNC that it received before.
     pub sync: Option<TimeNs>,
-    /// The last instant at which the axis moved, once it rests; the last SYNC if it did not move then.
+    /// The last instant at which the axis moved, once it rests; the last SYNC if it did not move
+    /// then.
     pub rest: Option<TimeNs>,
-    /// Time that did not pass for the drives from just before that SYNC until the rest was seen, ns.
+    /// Time that did not pass for the drives from just before that SYNC until the rest was seen,
+    /// ns.
     pub stalled_ns: u64,
 }
 

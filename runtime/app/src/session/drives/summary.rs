@@ -39,8 +39,8 @@ pub struct StopSummary {
     /// How long after the last SYNC the axis was at rest, ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rest_after_sync_ms: Option<f64>,
-    /// Time that did not pass for the drives meanwhile, ms: what `stalled_s` has of this stop. With any the two times above
-    /// are the drives' own and not a real machine's.
+    /// Time that did not pass for the drives meanwhile, ms: what `stalled_s` has of this stop. With
+    /// any the two times above are the drives' own and not a real machine's.
     pub stalled_ms: f64,
 }
 

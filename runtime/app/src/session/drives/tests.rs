@@ -1,5 +1,5 @@
-//! Drives, their world and a master with the real controller in one thread and in virtual time: what the processes do over
-//! real buses, without the machine's own delays.
+//! Drives, their world and a master with the real controller in one thread and in virtual time:
+//! what the processes do over real buses, without the machine's own delays.
 
 use hal::{Arm as _, Chunk, TICK_NS, TimeNs};
 use trocar_canopen::cia301::emcy::ErrorCode;

@@ -1,4 +1,5 @@
-//! A checkpoint as an external policy: a process that a person starts, which answers one session after another.
+//! A checkpoint as an external policy: a process that a person starts, which answers one session
+//! after another.
 
 use std::path::PathBuf;
 use std::process;
@@ -37,12 +38,15 @@ pub struct ByHand {
     pub sessions: Option<u64>,
 }
 
-/// Answers sessions of `--policy external:NAME`, in lockstep and in real time, with the checkpoint of `options`; how many they were.
+/// Answers sessions of `--policy external:NAME`, in lockstep and in real time, with the checkpoint
+/// of `options`; how many they were.
 ///
-/// A session that the network fails in is told why, and the next one can come. `say` hears of sessions as they come and go.
+/// A session that the network fails in is told why, and the next one can come. `say` hears of
+/// sessions as they come and go.
 ///
 /// # Errors
-/// If the checkpoint or the topics can't be opened; [`SessionError::BadArgument`] if it looks through more cameras than can be asked for.
+/// If the checkpoint or the topics can't be opened; [`SessionError::BadArgument`] if it looks
+/// through more cameras than can be asked for.
 pub fn serve_by_hand(options: &ByHand, say: &mut dyn FnMut(&str)) -> Result<u64, SessionError> {
     let mut server = Server::open(options)?;
     say(&format!(
@@ -181,7 +185,8 @@ impl Server {
         !self.node.is_alive(session.pid)
     }
 
-    /// Whether `control` is from the session that it knows: the upper halves of their numbers are the same.
+    /// Whether `control` is from the session that it knows: the upper halves of their numbers are
+    /// the same.
     fn is_of_session(&self, control: &RunControl) -> bool {
         let session = self.session.as_ref().map(|it| it.session >> 32);
         session == Some(control.episode >> 32)

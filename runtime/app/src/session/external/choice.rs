@@ -7,7 +7,8 @@ use crate::session::SessionError;
 /// The name of the topics if none is given.
 pub const DEFAULT_NAME: &str = "external";
 
-/// How long an external policy may take to appear, to reset and to answer if nothing else is said, s.
+/// How long an external policy may take to appear, to reset and to answer if nothing else is said,
+/// s.
 pub const DEFAULT_WITHIN_S: u64 = 30;
 
 /// The longest instruction, bytes of UTF-8.
@@ -41,7 +42,8 @@ impl ExternalChoice {
         self.name.as_deref().unwrap_or(DEFAULT_NAME)
     }
 
-    /// The one of the job `index` of `jobs`: of several each has a policy of its own, `NAME-1` and so on.
+    /// The one of the job `index` of `jobs`: of several each has a policy of its own, `NAME-1` and
+    /// so on.
     #[must_use]
     pub fn of_job(&self, index: usize, jobs: usize) -> Self {
         let name = match jobs {
@@ -55,7 +57,8 @@ impl ExternalChoice {
         }
     }
 
-    /// What it is told that is to be done: the instruction, or else the task's name, as a dataset's `task` has it.
+    /// What it is told that is to be done: the instruction, or else the task's name, as a dataset's
+    /// `task` has it.
     pub(in crate::session) fn instruction_or<'a>(&'a self, task: &'a str) -> &'a str {
         self.instruction.as_deref().unwrap_or(task)
     }

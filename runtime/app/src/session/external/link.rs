@@ -15,7 +15,8 @@ use crate::session::{SessionError, Setup};
 /// The arm that the topics of the whole policy are named after.
 pub(super) const FIRST_ARM: &str = ARM_NAMES[0];
 
-/// Whoever waits for topics looks this often even if nobody has woken it, ns: for writers that wake nobody, and readers that came late.
+/// Whoever waits for topics looks this often even if nobody has woken it, ns: for writers that wake
+/// nobody, and readers that came late.
 pub(in crate::session) const LOOK_NS: u64 = 10_000_000;
 
 /// Time from one look at whether the policy lives to the next, ns.
@@ -100,7 +101,8 @@ impl ExternalLink {
         Ok(link)
     }
 
-    /// Looks whenever something is published until there is something. `doing` is what the policy has not done in time.
+    /// Looks whenever something is published until there is something. `doing` is what the policy
+    /// has not done in time.
     pub(in crate::session) fn wait<T>(
         &self,
         doing: &str,
@@ -126,7 +128,8 @@ impl ExternalLink {
         Err(self.failed(format!("has not {doing} for {within_s} s")))
     }
 
-    /// Takes note of a process that has come in the place of one that left. It must want to be shown the same.
+    /// Takes note of a process that has come in the place of one that left. It must want to be
+    /// shown the same.
     pub(in crate::session) fn welcome(&mut self) -> Result<(), SessionError> {
         let Some(hello) = self.hellos.newest()? else {
             return Ok(());

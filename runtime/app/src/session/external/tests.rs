@@ -48,7 +48,8 @@ fn target(report: &ArmReport) -> TipTarget {
     TipTarget::new(&report.tip_in_rcm(), report.jaw_position + 0.5)
 }
 
-/// The policy's end, which says `reply` of each observation and, if it answers, publishes `chunks` chunks of `late_ns` after it.
+/// The policy's end, which says `reply` of each observation and, if it answers, publishes `chunks`
+/// chunks of `late_ns` after it.
 fn serve(topics: &str, hello: &PolicyHello, reply: Reply, late_ns: u64, done: &AtomicBool) {
     let node = TopicNode::join(topics).unwrap();
     let hellos = PolicyHelloTopic::publisher(&node, FIRST_ARM).unwrap();

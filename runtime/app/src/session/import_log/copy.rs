@@ -13,7 +13,8 @@ use super::episode::LoggedEpisode;
 use super::frames::{decoded, undecodable};
 use crate::session::SessionError;
 
-/// Adds all steps of `episode` to the one in progress, of `cameras`; images are brought to their size if it is given as `size`.
+/// Adds all steps of `episode` to the one in progress, of `cameras`; images are brought to their
+/// size if it is given as `size`.
 ///
 /// # Errors
 /// [`LogImportError::Image`]; what the log or the dataset says.
@@ -91,7 +92,8 @@ impl<'a> CopiedCamera<'a> {
         self.waiting.contains_key(&place) || self.shown.as_ref().is_some_and(|it| it.0 == place)
     }
 
-    /// Decodes the frame at `place`, unless it is already. Frames are shown in the order of steps, so that each is decoded once.
+    /// Decodes the frame at `place`, unless it is already. Frames are shown in the order of steps,
+    /// so that each is decoded once.
     fn show(
         &mut self,
         log: &Path,

@@ -38,8 +38,8 @@ pub(super) enum Found {
 }
 
 impl LoggedEpisode {
-    /// Reads `log`, of which the cameras called `names` are wanted, or all. A run that failed or had a fault is none unless `options` take it; one that
-    /// was discarded never is.
+    /// Reads `log`, of which the cameras called `names` are wanted, or all. A run that failed or
+    /// had a fault is none unless `options` take it; one that was discarded never is.
     ///
     /// # Errors
     /// See [`super::import_logs`].
@@ -173,7 +173,8 @@ fn teleop(log: &Path, outcome: &RunOutcome) -> Result<Option<Value>, LogImportEr
     }
 }
 
-/// Who demonstrated: an operator's hands alone, hands that took over from a policy; the log itself if it does not say so.
+/// Who demonstrated: an operator's hands alone, hands that took over from a policy; the log itself
+/// if it does not say so.
 fn source(header: &RunHeader, teleop: Option<&Value>) -> &'static str {
     match teleop {
         Some(_) if header.policy == PolicyChoice::Teleop.name() => "teleop",

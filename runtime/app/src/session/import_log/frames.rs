@@ -1,4 +1,5 @@
-//! The camera frames of a log: when each was taken, and of which size. The images stay where they are.
+//! The camera frames of a log: when each was taken, and of which size. The images stay where they
+//! are.
 
 use std::io::Cursor;
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! The steps of an episode: a grid of the rate that is wanted from the first usable frame on, and the frames nearest to it.
+//! The steps of an episode: a grid of the rate that is wanted from the first usable frame on, and
+//! the frames nearest to it.
 
 use std::path::Path;
 
@@ -9,11 +10,12 @@ use super::frames::{LoggedCamera, LoggedFrame};
 
 const SECOND_NS: u64 = 1_000_000_000;
 
-/// Frames may begin this long after the arms are asked first, and end this long before they no longer are: a camera that shows nothing for
-/// two seconds ends a run.
+/// Frames may begin this long after the arms are asked first, and end this long before they no
+/// longer are: a camera that shows nothing for two seconds ends a run.
 const EDGE_NS: u64 = 3 * SECOND_NS;
 
-/// Of this many steps one may show the frame of its neighbour again: a camera loses frames now and then, and its clock drifts.
+/// Of this many steps one may show the frame of its neighbour again: a camera loses frames now and
+/// then, and its clock drifts.
 const STEPS_A_REPEAT: usize = 20;
 
 /// What a step sees.
@@ -36,8 +38,9 @@ pub(super) struct Grid<'a> {
 }
 
 impl<'a> Grid<'a> {
-    /// A point each 1/`fps` s from the first frame after `begin` that all cameras have, to the last frame of the first camera, or to where
-    /// it shows nothing for so long that no episode goes on behind it.
+    /// A point each 1/`fps` s from the first frame after `begin` that all cameras have, to the last
+    /// frame of the first camera, or to where it shows nothing for so long that no episode goes on
+    /// behind it.
     pub(super) fn lay(cameras: &'a [LoggedCamera], fps: u32, begin: TimeNs) -> Self {
         let mut grid = Self {
             cameras,
@@ -89,7 +92,8 @@ impl<'a> Grid<'a> {
         grid
     }
 
-    /// The point of the grid from `start` nearest to `at`, which is not before it: each frame is of one alone.
+    /// The point of the grid from `start` nearest to `at`, which is not before it: each frame is of
+    /// one alone.
     fn point(&self, start: TimeNs, at: TimeNs) -> usize {
         let halves = 2 * u128::from(at.since(start)) * u128::from(self.fps);
         let second = u128::from(SECOND_NS);
@@ -102,7 +106,8 @@ impl<'a> Grid<'a> {
         since - point as i128 * i128::from(SECOND_NS)
     }
 
-    /// For the grid's `point`, to which no frame is nearest, the nearer one of its neighbours' `frames`, at most a step away; and the point's instant.
+    /// For the grid's `point`, to which no frame is nearest, the nearer one of its neighbours'
+    /// `frames`, at most a step away; and the point's instant.
     fn neighbour(
         &self,
         start: TimeNs,
@@ -117,7 +122,8 @@ impl<'a> Grid<'a> {
         Some((near, at))
     }
 
-    /// What a step sees `at` that instant, whose frame of the first camera is `frame`; of the `others` a frame may be a step away.
+    /// What a step sees `at` that instant, whose frame of the first camera is `frame`; of the
+    /// `others` a frame may be a step away.
     fn seen(
         &self,
         frame: LoggedFrame,
@@ -155,7 +161,8 @@ impl<'a> Grid<'a> {
     /// The steps of an episode of `log` that ends at `end`.
     ///
     /// # Errors
-    /// [`LogImportError::TooFew`] if a point has no frame near it, or too many have that of their neighbour.
+    /// [`LogImportError::TooFew`] if a point has no frame near it, or too many have that of their
+    /// neighbour.
     pub(super) fn whole(&self, log: &Path, end: TimeNs) -> Result<Vec<SeenStep>, LogImportError> {
         let Some(culprit) = self.hole(end) else {
             return Ok(self.until(end).iter().flatten().cloned().collect());
@@ -193,7 +200,8 @@ impl<'a> Grid<'a> {
         (!reaches).then(most).flatten()
     }
 
-    /// The longest time without a frame of the camera `index` until `end`, ns, and when that begins.
+    /// The longest time without a frame of the camera `index` until `end`, ns, and when that
+    /// begins.
     fn gap(&self, index: usize, end: TimeNs) -> (u64, TimeNs) {
         let mut longest = (0, self.begin);
         let mut before = self.begin;

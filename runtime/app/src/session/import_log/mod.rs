@@ -5,11 +5,12 @@
 //!     └─ ticks: who drives, measured arms, targets, ENABLED ──────────────────┴─> episode ──> images once more ──> dataset
 //! ```
 //!
-//! A step's instant is the stamp of a frame of the first camera. What the arms measured, and the target that the aggregated chunks had
-//! then, are those of the tick nearest to it. An episode begins with the first target of ENABLED arms and ends with the state ENABLED.
+//! A step's instant is the stamp of a frame of the first camera. What the arms measured, and the
+//! target that the aggregated chunks had then, are those of the tick nearest to it. An episode
+//! begins with the first target of ENABLED arms and ends with the state ENABLED.
 //!
-//! Logs are read in order and never whole in memory: of the first two passes the numbers of steps stay, the third decodes a frame at a
-//! time. All logs are judged before anything is written.
+//! Logs are read in order and never whole in memory: of the first two passes the numbers of steps
+//! stay, the third decodes a frame at a time. All logs are judged before anything is written.
 
 mod copy;
 mod episode;
@@ -72,11 +73,13 @@ pub struct LogImportSummary {
     pub discarded: Vec<PathBuf>,
 }
 
-/// Writes the logs of `options` as a dataset. After each that is written `done` gets the number of episodes so far and of all.
+/// Writes the logs of `options` as a dataset. After each that is written `done` gets the number of
+/// episodes so far and of all.
 ///
 /// # Errors
-/// A [`LogImportError`] that names the log and what helps, before anything is written but for an image that can't be decoded;
-/// [`SessionError::Log`] for a file that is no log or damaged; [`SessionError::Dataset`] if the dataset can't be written.
+/// A [`LogImportError`] that names the log and what helps, before anything is written but for an
+/// image that can't be decoded; [`SessionError::Log`] for a file that is no log or damaged;
+/// [`SessionError::Dataset`] if the dataset can't be written.
 pub fn import_logs(
     options: &LogImportOptions,
     done: &mut dyn FnMut(usize, usize),
@@ -173,7 +176,8 @@ fn survey(options: &LogImportOptions) -> Result<Survey, SessionError> {
     })
 }
 
-/// What is said of the dataset as a whole: of one simulated task its name, by which trials of it are found.
+/// What is said of the dataset as a whole: of one simulated task its name, by which trials of it
+/// are found.
 fn described(episodes: &[LoggedEpisode]) -> serde_json::Value {
     let mut note = json!({"trocar": env!("CARGO_PKG_VERSION"), "source": SOURCE});
     let mut tasks = episodes.iter().map(|episode| episode.task.as_str());

@@ -23,7 +23,8 @@ fn nearest(stamps: &[u64], at: f64) -> (usize, u64) {
         .unwrap()
 }
 
-/// Two arms, two cameras of 30 Hz with jitter, ENABLED at 0.2 s, asked at 0.3 s, by hand from 1.5 s to 2.5 s, paused for the end at 4 s.
+/// Two arms, two cameras of 30 Hz with jitter, ENABLED at 0.2 s, asked at 0.3 s, by hand from 1.5 s
+/// to 2.5 s, paused for the end at 4 s.
 fn two_arms() -> HandMade {
     HandMade {
         arms: 2,
@@ -40,7 +41,8 @@ fn two_arms() -> HandMade {
     }
 }
 
-/// Every step of the dataset against a search through all stamps and the formulas by which the log was made.
+/// Every step of the dataset against a search through all stamps and the formulas by which the log
+/// was made.
 #[test]
 fn each_step_has_the_nearest_frames_and_tick() {
     let folder = Scratch::folder("import-log-two-arms");
@@ -111,7 +113,8 @@ fn each_step_has_the_nearest_frames_and_tick() {
     assert!((24..=26).contains(&hand), "{hand}");
 }
 
-/// Of a camera that lost one frame the step shows the one before or after; one whose clock drifts by 1 % loses none.
+/// Of a camera that lost one frame the step shows the one before or after; one whose clock drifts
+/// by 1 % loses none.
 #[test]
 fn lost_frames_and_drift_are_tolerated() {
     for (name, period_us, lost) in [("lost", 40_000, 700_000_000), ("drift", 40_400, 0)] {
@@ -213,7 +216,8 @@ fn a_dataset_says_which_runs_it_is_of() {
     );
 }
 
-/// A person's word is the episode's: failures are left out unless they are asked for, what was discarded always is, by name.
+/// A person's word is the episode's: failures are left out unless they are asked for, what was
+/// discarded always is, by name.
 #[test]
 fn runs_are_taken_as_their_operator_marked_them() {
     let folder = Scratch::folder("import-log-marked");
@@ -264,7 +268,8 @@ fn runs_are_taken_as_their_operator_marked_them() {
     assert!(!options.out.exists());
 }
 
-/// Who drove is the episode's source, and what is known of the hands is there as the run counted it.
+/// Who drove is the episode's source, and what is known of the hands is there as the run counted
+/// it.
 #[test]
 fn an_episode_by_hand_says_so() {
     let folder = Scratch::folder("import-log-by-hand");
@@ -300,7 +305,8 @@ fn an_episode_by_hand_says_so() {
     );
 }
 
-/// Of two sizes --resize makes one, and images of the chosen cameras alone are there, in the order that was asked for.
+/// Of two sizes --resize makes one, and images of the chosen cameras alone are there, in the order
+/// that was asked for.
 #[test]
 fn cameras_are_chosen_and_resized() {
     let folder = Scratch::folder("import-log-chosen");

@@ -1,4 +1,5 @@
-//! The ticks of a log, one after another: from when to when the arms are asked, and what they measured and were given at each step.
+//! The ticks of a log, one after another: from when to when the arms are asked, and what they
+//! measured and were given at each step.
 
 use std::path::Path;
 

@@ -23,8 +23,8 @@ pub struct Ask {
 /// Says `command` to a run. Its answer, one line, and whether it is a yes.
 ///
 /// # Errors
-/// [`SessionError::BadArgument`] if there is no such run, or more than one to choose from; [`SessionError::RealTime`] if it does not
-/// answer.
+/// [`SessionError::BadArgument`] if there is no such run, or more than one to choose from;
+/// [`SessionError::RealTime`] if it does not answer.
 pub fn ask(command: Command, ask: &Ask) -> Result<(String, bool), SessionError> {
     let folder = place::folder().map_err(|error| {
         SessionError::RealTime(format!("the folder of this user's runs: {error}"))
@@ -110,7 +110,8 @@ fn find(folder: &Path, run: Option<&str>) -> Result<PathBuf, SessionError> {
     }
 }
 
-/// Says `command` at `socket`, for an answer as JSON or as text, one line; no longer than [`PATIENCE`] for each way.
+/// Says `command` at `socket`, for an answer as JSON or as text, one line; no longer than
+/// [`PATIENCE`] for each way.
 ///
 /// # Errors
 /// If the run does not answer.

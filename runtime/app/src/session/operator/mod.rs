@@ -1,8 +1,10 @@
-//! The operator: CRTK's commands to a run in real time, over a local socket, one line each, and what its arms are doing.
+//! The operator: CRTK's commands to a run in real time, over a local socket, one line each, and
+//! what its arms are doing.
 //!
-//! `server` listens in the run, `client` is the verbs `trocar status`, `pause` and so on. Both speak this: a line with a command
-//! ([`Command`]), `json` behind it for an answer as JSON; the answer is one line too. Who looks on ([`Query`]) is told what the console's pages are. The socket is of mode 0600 in a folder of mode 0700:
-//! whoever may use it is the run's own user.
+//! `server` listens in the run, `client` is the verbs `trocar status`, `pause` and so on. Both
+//! speak this: a line with a command ([`Command`]), `json` behind it for an answer as JSON; the
+//! answer is one line too. Who looks on ([`Query`]) is told what the console's pages are. The
+//! socket is of mode 0600 in a folder of mode 0700: whoever may use it is the run's own user.
 
 mod client;
 mod place;
@@ -151,7 +153,8 @@ impl fmt::Display for Command {
     }
 }
 
-/// What a run says of itself after a tick. Plain data, so that the control thread hands it over without allocating.
+/// What a run says of itself after a tick. Plain data, so that the control thread hands it over
+/// without allocating.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Status {
     /// Count of the control periods.
@@ -180,7 +183,8 @@ impl Status {
     }
 }
 
-/// The control thread's end: what the operator asks for, and where to say what came of it. Hot path: bounded, no allocation, never waits.
+/// The control thread's end: what the operator asks for, and where to say what came of it. Hot
+/// path: bounded, no allocation, never waits.
 #[derive(Debug)]
 pub(super) struct OperatorPort {
     /// None where nobody listens.

@@ -37,7 +37,8 @@ pub fn check() -> Option<String> {
     folder().err().map(|error| error.to_string())
 }
 
-/// A name for another run of this process: its number, and behind it which of its runs it is if that is not the first.
+/// A name for another run of this process: its number, and behind it which of its runs it is if
+/// that is not the first.
 pub(super) fn new_name() -> String {
     static RUNS: AtomicU32 = AtomicU32::new(0);
     let process = std::process::id();

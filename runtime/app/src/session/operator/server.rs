@@ -78,8 +78,8 @@ impl Drop for Listener {
 }
 
 impl Listener {
-    /// Listens for operators of this process, and the control thread's end. Where set-points would run ahead of drives that take their
-    /// time to switch on, `enables` is false.
+    /// Listens for operators of this process, and the control thread's end. Where set-points would
+    /// run ahead of drives that take their time to switch on, `enables` is false.
     ///
     /// # Errors
     /// If the folder or the socket can't be made.

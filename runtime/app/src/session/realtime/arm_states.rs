@@ -1,5 +1,5 @@
-//! What is at a policy step, on topics: the simulated arms for a policy process, past the cameras, which may be slow or not there, and where everything
-//! is for whoever draws it.
+//! What is at a policy step, on topics: the simulated arms for a policy process, past the cameras,
+//! which may be slow or not there, and where everything is for whoever draws it.
 
 use std::thread;
 use std::time::Duration;
@@ -37,7 +37,8 @@ pub(super) struct StatesThread {
 }
 
 impl StatesThread {
-    /// Shows `scene` and `pages`, and on the topics of `node` the states of `arms` arms; also gives the end of the queue for these.
+    /// Shows `scene` and `pages`, and on the topics of `node` the states of `arms` arms; also gives
+    /// the end of the queue for these.
     pub(super) fn open(
         arms: Option<(&TopicNode, usize)>,
         scene: Option<(SceneForCameras, MailboxReader<Snapshot>)>,

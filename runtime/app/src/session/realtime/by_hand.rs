@@ -1,5 +1,6 @@
-//! An operator's hands on arms outside of this process: as their policy, or beside one. They are looked at with what the arms measured last, whenever
-//! the thread that observes these has time for it.
+//! An operator's hands on arms outside of this process: as their policy, or beside one. They are
+//! looked at with what the arms measured last, whenever the thread that observes these has time for
+//! it.
 
 use hal::{ArmState, Chunk, PerArm, TICK_NS, TimeNs};
 use rtrb::{Consumer, Producer, RingBuffer};
@@ -40,7 +41,8 @@ impl Role {
     }
 }
 
-/// Hands of a run, what else answers in this process, and the control thread's end of hands that are beside a policy.
+/// Hands of a run, what else answers in this process, and the control thread's end of hands that
+/// are beside a policy.
 pub(super) type Answering = (Option<ByHand>, Local, Option<Consumer<TeleopCommand>>);
 
 impl ByHand {
@@ -58,8 +60,9 @@ impl ByHand {
         }
     }
 
-    /// Looks at the hands, if it is time, of arms that were measured as `states` last; it is `now`. A clutch that was taken before the first look has
-    /// to be taken anew: the arms were not enabled then.
+    /// Looks at the hands, if it is time, of arms that were measured as `states` last; it is `now`.
+    /// A clutch that was taken before the first look has to be taken anew: the arms were not
+    /// enabled then.
     pub(super) fn look(
         &mut self,
         states: &PerArm<ArmState>,
@@ -97,8 +100,8 @@ impl ByHand {
     }
 }
 
-/// An operator who may take over from the policy of `plan`, on a page of its console or by devices here, if it is known in which axes; and
-/// the control thread's end.
+/// An operator who may take over from the policy of `plan`, on a page of its console or by devices
+/// here, if it is known in which axes; and the control thread's end.
 pub(super) fn intervention<S: Arms>(
     plan: &Plan<S>,
 ) -> Option<(Box<Intervention>, Consumer<TeleopCommand>)> {
@@ -138,7 +141,8 @@ mod tests {
         hands.hear(1, &message).unwrap();
     }
 
-    /// Whoever holds a clutch while arms come up moves none of them before it is taken anew; chunks are of no later time than the look.
+    /// Whoever holds a clutch while arms come up moves none of them before it is taken anew; chunks
+    /// are of no later time than the look.
     #[test]
     fn a_clutch_is_taken_after_the_first_look() {
         let hands = Arc::new(Hands::new());

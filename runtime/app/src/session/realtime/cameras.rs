@@ -1,4 +1,5 @@
-//! Whose cameras a simulated run has: nobody's, those of a process of ours, or those of others on the same topics.
+//! Whose cameras a simulated run has: nobody's, those of a process of ours, or those of others on
+//! the same topics.
 
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_topics::TopicNode;
@@ -30,7 +31,8 @@ pub(super) struct Stage {
     /// The run's place there, if there is any other process.
     pub(super) node: Option<TopicNode>,
     pub(super) cameras: Cameras,
-    /// The cameras whose frames are wanted, with their sizes in pixels if some are asked for: those that the policy looks through first.
+    /// The cameras whose frames are wanted, with their sizes in pixels if some are asked for: those
+    /// that the policy looks through first.
     pub(super) wanted: Vec<SizedCamera>,
     looked_at: usize,
     /// Where everything is, for whoever draws it.
@@ -38,7 +40,8 @@ pub(super) struct Stage {
 }
 
 impl Stage {
-    /// Joins the topics, and starts our cameras' process: it opens its renderer while the `policy` loads.
+    /// Joins the topics, and starts our cameras' process: it opens its renderer while the `policy`
+    /// loads.
     pub(super) fn open(plan: &Plan, policy: &Opened<'_>) -> Result<Self, SessionError> {
         let others = plan.cameras_on.as_deref();
         let topics = match others.or_else(|| policy.topics()) {
@@ -88,8 +91,8 @@ impl Stage {
         }
     }
 
-    /// Waits until our process has drawn, or others have shown a frame of each camera that is wanted, of the size that is asked for; they may
-    /// draw `start`.
+    /// Waits until our process has drawn, or others have shown a frame of each camera that is
+    /// wanted, of the size that is asked for; they may draw `start`.
     pub(super) fn wait(
         &mut self,
         plan: &Plan,
@@ -116,7 +119,8 @@ impl Stage {
     }
 }
 
-/// The cameras that are drawn for the policy, which looks through `seen`, the log, the pictures and, if it is `remote`, others on its topics.
+/// The cameras that are drawn for the policy, which looks through `seen`, the log, the pictures
+/// and, if it is `remote`, others on its topics.
 fn wanted(plan: &Plan, seen: Vec<SizedCamera>, remote: bool) -> Vec<SizedCamera> {
     let setup = &plan.setup;
     let kept = setup.kept_cameras.is_some();

@@ -14,10 +14,12 @@ use crate::rt::{self, MonotonicClock};
 use crate::session::changes::ConfigFile;
 use crate::session::{Plan, SessionError};
 
-/// How long the process may take until it is ready, ns: a driver that compiles for the first time takes seconds.
+/// How long the process may take until it is ready, ns: a driver that compiles for the first time
+/// takes seconds.
 const LOAD_NS_MAX: u64 = 60_000_000_000;
 
-/// A process that says nothing for this long hangs, ns. As long as a camera of another's may show nothing, and far beyond any frame.
+/// A process that says nothing for this long hangs, ns. As long as a camera of another's may show
+/// nothing, and far beyond any frame.
 const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
 /// The running cameras' process.
@@ -30,7 +32,8 @@ pub(super) struct CamerasChild {
 }
 
 impl CamerasChild {
-    /// Starts the process on `topics`, where it shows frames of the cameras `wanted`, and to `pages` what they ask for.
+    /// Starts the process on `topics`, where it shows frames of the cameras `wanted`, and to
+    /// `pages` what they ask for.
     pub(super) fn start(
         plan: &Plan,
         topics: &str,

@@ -1,5 +1,5 @@
-//! The cameras' own process of a simulated run in real time: where everything is in, frames out. A renderer that crashes, or a driver that hangs, takes
-//! no control thread with it.
+//! The cameras' own process of a simulated run in real time: where everything is in, frames out. A
+//! renderer that crashes, or a driver that hangs, takes no control thread with it.
 //!
 //! ```text
 //!  run ── snapshots of policy steps ──> draws its cameras ── frames ──> policy process, log
@@ -51,15 +51,19 @@ pub struct CamerasOptions {
     pub cameras: Vec<String>,
     /// Whether pages of the run's console are shown cameras too.
     pub pages: bool,
-    /// The process that started this one, as it knows itself, with which it ends; without one it ends by a signal.
+    /// The process that started this one, as it knows itself, with which it ends; without one it
+    /// ends by a signal.
     pub parent: Option<u32>,
 }
 
-/// Draws what a run shows until it is told to stop, the parent process is gone or, without a parent, a signal comes; gives how many snapshots it drew.
-/// `say` gets a line when the cameras are there and for each run that is seen, if they were started by hand, and when pages can't be shown more.
+/// Draws what a run shows until it is told to stop, the parent process is gone or, without a
+/// parent, a signal comes; gives how many snapshots it drew. `say` gets a line when the cameras are
+/// there and for each run that is seen, if they were started by hand, and when pages can't be shown
+/// more.
 ///
 /// # Errors
-/// If there is no such camera, from the renderer or the topics, and [`SessionError::BadArgument`] for a run with another scene.
+/// If there is no such camera, from the renderer or the topics, and [`SessionError::BadArgument`]
+/// for a run with another scene.
 pub fn serve_cameras(
     options: &CamerasOptions,
     say: &mut dyn FnMut(&str),
@@ -183,7 +187,8 @@ struct Pages {
 }
 
 impl<'a> Studio<'a> {
-    /// Opens the renderer and the topics; each camera draws once, since its first image takes far longer than the others.
+    /// Opens the renderer and the topics; each camera draws once, since its first image takes far
+    /// longer than the others.
     fn open(node: &TopicNode, options: &'a CamerasOptions) -> Result<Self, SessionError> {
         let setup = &options.setup;
         let mut cameras = SceneCameras::new(&setup.task)?;
@@ -227,7 +232,8 @@ impl<'a> Studio<'a> {
         )
     }
 
-    /// Draws what is newest: for the policy and the log first, else one camera that a page looks at. Whether there was something.
+    /// Draws what is newest: for the policy and the log first, else one camera that a page looks
+    /// at. Whether there was something.
     fn turn(&mut self, say: &mut dyn FnMut(&str)) -> Result<bool, SessionError> {
         if let Some(report) = self.snapshots.newest()? {
             self.begin(&report, say)?;
@@ -251,7 +257,8 @@ impl<'a> Studio<'a> {
             None => return Ok(false),
         };
         match drew {
-            // Whoever looks on takes no frames from the policy: there may be no shared memory for more.
+            // Whoever looks on takes no frames from the policy: there may be no shared memory for
+            // more.
             Err(SessionError::Topic(error)) => {
                 say(&format!("the console is shown no more cameras: {error}"));
                 self.pages = None;
@@ -313,7 +320,8 @@ impl Pages {
         })
     }
 
-    /// The next instant, once that before it is drawn; of `count` cameras those are drawn that are wanted.
+    /// The next instant, once that before it is drawn; of `count` cameras those are drawn that are
+    /// wanted.
     fn newest(&mut self, count: usize) -> Result<Option<SnapshotReport>, SessionError> {
         if !self.waiting.is_empty() {
             return Ok(None);
@@ -327,7 +335,8 @@ impl Pages {
         Ok(self.instant)
     }
 
-    /// Draws one camera of those that pages look at, so that nobody else's frames wait for more than that; whether there was one.
+    /// Draws one camera of those that pages look at, so that nobody else's frames wait for more
+    /// than that; whether there was one.
     fn draw(&mut self, cameras: &mut SceneCameras) -> Result<bool, SessionError> {
         let (Some(report), Some(camera)) = (&self.instant, self.waiting.pop()) else {
             return Ok(false);

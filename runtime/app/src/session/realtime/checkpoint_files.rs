@@ -1,4 +1,5 @@
-//! Whether a checkpoint is still the one that a run began with: training may write another into its folder meanwhile.
+//! Whether a checkpoint is still the one that a run began with: training may write another into its
+//! folder meanwhile.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -58,7 +59,8 @@ impl CheckpointFiles {
     }
 }
 
-/// A comparison under way, in a thread of its own: whoever looks at signals does not wait until weights are hashed.
+/// A comparison under way, in a thread of its own: whoever looks at signals does not wait until
+/// weights are hashed.
 pub(super) struct FilesCheck(JoinHandle<Result<(), SessionError>>);
 
 impl FilesCheck {
@@ -75,7 +77,8 @@ impl FilesCheck {
     }
 }
 
-/// SHA-256 of each file in `folder` that is read; that of the weights is `weights_sha256`, if it is known.
+/// SHA-256 of each file in `folder` that is read; that of the weights is `weights_sha256`, if it is
+/// known.
 fn hashes(folder: &Path, weights_sha256: Option<&str>) -> io::Result<BTreeMap<String, String>> {
     let mut hashes = BTreeMap::new();
     for entry in fs::read_dir(folder)? {

@@ -31,7 +31,8 @@ const LOAD_NS_MAX: u64 = 120_000_000_000;
 /// A process that says nothing for this long hangs, ns. Far beyond any inference.
 const SILENCE_NS_MAX: u64 = 5_000_000_000;
 
-/// A process that lives and answers no observation for this long, and a query's interval, answers none any more, ns.
+/// A process that lives and answers no observation for this long, and a query's interval, answers
+/// none any more, ns.
 pub(super) const ANSWER_NS_MAX: u64 = 10_000_000_000;
 
 /// The code with which this program ends for bad input.
@@ -45,7 +46,8 @@ const LOOK_EVERY_NS: u64 = 20_000_000;
 pub(super) struct Outside<'a> {
     /// Their name.
     pub(super) topics: &'a str,
-    /// How far a frame may be from the instant of an observation, ms: 0 of cameras that draw the run's own scene.
+    /// How far a frame may be from the instant of an observation, ms: 0 of cameras that draw the
+    /// run's own scene.
     pub(super) frames_within_ms: u64,
 }
 
@@ -112,7 +114,8 @@ impl Peer {
         }
     }
 
-    /// Hands what was said to a process that has come since: of an external policy, who the session is too.
+    /// Hands what was said to a process that has come since: of an external policy, who the session
+    /// is too.
     fn keep_alive(&self) -> Result<(), SessionError> {
         match self {
             Self::Own(own) => own.process.control.keep_alive()?,
@@ -190,7 +193,8 @@ pub(super) struct PolicyChild {
     seed: u64,
     /// Counts how often it was told to begin.
     episode: u64,
-    /// The highest number of a chunk that was handed on, and that of those before the present process.
+    /// The highest number of a chunk that was handed on, and that of those before the present
+    /// process.
     highest: u64,
     numbered_from: u64,
     /// No observation of before, by the run's clock, is answered any more.
@@ -209,8 +213,8 @@ pub(super) struct PolicyChild {
 impl PolicyChild {
     /// Starts the process and waits until it has loaded the checkpoint of `files`.
     ///
-    /// Of it no more than the `outline` is read here: what is wrong with the weights, the process says on standard error.
-    /// Its topics, and the frames, are `outside`.
+    /// Of it no more than the `outline` is read here: what is wrong with the weights, the process
+    /// says on standard error. Its topics, and the frames, are `outside`.
     pub(super) fn start(
         outline: &PolicyOutline,
         files: CheckpointFiles,
@@ -320,7 +324,8 @@ impl PolicyChild {
         self.of_run = clock;
     }
 
-    /// Tells a process of ours to go, without waiting for it; one that is still loading is ended later.
+    /// Tells a process of ours to go, without waiting for it; one that is still loading is ended
+    /// later.
     pub(super) fn tell_to_go(&self) {
         if let Peer::Own(own) = &self.peer
             && own.process.listens
@@ -360,7 +365,8 @@ impl PolicyChild {
         let answer = answer.map(|chunks| {
             chunks.map(|chunk| Chunk {
                 observed_at: of_run.from_system(chunk.observed_at),
-                // A process that begins anew counts from the beginning, and the gate wants to see them rise.
+                // A process that begins anew counts from the beginning, and the gate wants to see
+                // them rise.
                 sequence: chunk.sequence.saturating_add(numbered_from),
                 ..chunk
             })
@@ -393,11 +399,13 @@ impl Remote for PolicyChild {
         matches!(self.peer, Peer::Own(_))
     }
 
-    /// Our own process is started again, with the same checkpoint or not at all; an external one is told to begin again, and may be another process by then.
+    /// Our own process is started again, with the same checkpoint or not at all; an external one is
+    /// told to begin again, and may be another process by then.
     fn call_again(&mut self) -> Result<(), SessionError> {
         match &mut self.peer {
             Peer::Own(own) => {
-                // One that hangs takes no core from the comparison, which goes on if it is under way.
+                // One that hangs takes no core from the comparison, which goes on if it is under
+                // way.
                 own.process.kill();
                 if own.check.is_none() {
                     own.check = Some(own.files.begin_check()?);

@@ -1,4 +1,5 @@
-//! A process of our own, the policy's or the cameras': a verb of this program that is started, started again, told to go, and ended with the run.
+//! A process of our own, the policy's or the cameras': a verb of this program that is started,
+//! started again, told to go, and ended with the run.
 
 use std::env;
 use std::ffi::OsString;
@@ -26,7 +27,8 @@ pub(super) struct Spawned {
     pub(super) arguments: Vec<OsString>,
 }
 
-/// A process that was started here, which reports by messages of the type `S`. Dropping it ends it, in peace if it listens.
+/// A process that was started here, which reports by messages of the type `S`. Dropping it ends it,
+/// in peace if it listens.
 pub(super) struct ChildProcess<S: Message> {
     process: Child,
     spawned: Spawned,
@@ -43,10 +45,12 @@ impl Spawned {
         Command::new(program)
             .args(&self.arguments)
             .args(["--parent-pid", &process::id().to_string()])
-            // Threads that wait for each other sleep: spinning, they would take cores from the simulation and the control.
+            // Threads that wait for each other sleep: spinning, they would take cores from the
+            // simulation and the control.
             .env("OMP_WAIT_POLICY", "PASSIVE")
             .stdin(Stdio::null())
-            // A Ctrl-C in the terminal is for this process alone, which then stops the arm before the others.
+            // A Ctrl-C in the terminal is for this process alone, which then stops the arm before
+            // the others.
             .process_group(0)
             .spawn()
             .map_err(|error| failed(&format!("starting {}", self.who), &error))
@@ -128,7 +132,8 @@ impl<S: Message> ChildProcess<S> {
 impl<S: Message> Drop for ChildProcess<S> {
     fn drop(&mut self) {
         if !(self.listens && self.goes_by_itself()) {
-            // Whatever went wrong, nothing is left behind: no process, and nothing of it in shared memory.
+            // Whatever went wrong, nothing is left behind: no process, and nothing of it in shared
+            // memory.
             let _gone = self.process.kill();
             let _reaped = self.process.wait();
             self.node.remove_dead();
@@ -136,8 +141,8 @@ impl<S: Message> Drop for ChildProcess<S> {
     }
 }
 
-/// A name for the run's topics that no other run on this machine has: containers may share memory and count their processes
-/// alike, so the process id alone would not do.
+/// A name for the run's topics that no other run on this machine has: containers may share memory
+/// and count their processes alike, so the process id alone would not do.
 pub(super) fn fresh_run_id() -> Result<String, SessionError> {
     let uuid = fs::read_to_string("/proc/sys/kernel/random/uuid")
         .map_err(|error| failed("naming the run", &error))?;

@@ -34,7 +34,8 @@ pub(super) struct ControlThread {
     signals: Arc<Signals>,
     operator: OperatorPort,
     clock: MonotonicClock,
-    /// What the thread asks of the system; of strict wishes [`RtProfile::check`](crate::rt::RtProfile::check) knows before there is a run.
+    /// What the thread asks of the system; of strict wishes
+    /// [`RtProfile::check`](crate::rt::RtProfile::check) knows before there is a run.
     profile: RtOptions,
     /// What the process holds of the system, as long as the thread lives.
     held: Held,
@@ -110,7 +111,8 @@ impl ControlThread {
         &self.profile
     }
 
-    /// Runs with `rig` until the arms rest without torque after the verdict, or after a fault of any that ends the run.
+    /// Runs with `rig` until the arms rest without torque after the verdict, or after a fault of
+    /// any that ends the run.
     pub(super) fn run<R: Rig>(mut self, mut rig: R) -> ControlEnd<R> {
         let signals = Arc::clone(&self.signals);
         let _stops = StopsAll(&signals);
@@ -204,7 +206,8 @@ impl ControlThread {
     }
 }
 
-/// Whether `chunk` was observed after the period of a thread that woke late, though not after it woke.
+/// Whether `chunk` was observed after the period of a thread that woke late, though not after it
+/// woke.
 ///
 /// The next period takes it. One from beyond the clock is nonsense, for the gate to refuse.
 const fn is_ahead(chunk: &Chunk, period: &Period) -> bool {

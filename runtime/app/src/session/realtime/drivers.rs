@@ -1,5 +1,5 @@
-//! Whose chunks the controller is given: the policy's or, once they have taken over, the operator's hands'. Hot path: bounded, no
-//! allocation, no lock.
+//! Whose chunks the controller is given: the policy's or, once they have taken over, the operator's
+//! hands'. Hot path: bounded, no allocation, no lock.
 
 use hal::{Chunk, PerArm};
 use rtrb::Consumer;
@@ -33,8 +33,9 @@ impl Drivers {
         self.driver == Driver::Policy
     }
 
-    /// The chunks of whoever drives, if there are new ones, and what the controller is told if that is another from now on. What `waits`
-    /// is for a later period; as long as the controller is told something else (`free` is false), nobody takes over.
+    /// The chunks of whoever drives, if there are new ones, and what the controller is told if that
+    /// is another from now on. What `waits` is for a later period; as long as the controller is
+    /// told something else (`free` is false), nobody takes over.
     pub(super) fn next(
         &mut self,
         waits: impl Fn(&PerArm<Chunk>) -> bool,
@@ -92,7 +93,8 @@ mod tests {
         PerArm::one(Chunk::new(TimeNs(sequence), sequence, 40, &[]))
     }
 
-    /// The controller is given the chunks of whoever drives alone, and hears of each change once, when it hears nothing else.
+    /// The controller is given the chunks of whoever drives alone, and hears of each change once,
+    /// when it hears nothing else.
     #[test]
     fn chunks_are_those_of_whoever_drives() {
         let (mut policy_in, policy) = RingBuffer::new(8);

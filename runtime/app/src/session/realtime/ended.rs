@@ -11,7 +11,8 @@ use crate::session::run::RunResult;
 use crate::session::summary::{RealTimeCounts, RunSummary};
 use crate::session::teleop::Hands;
 
-/// Closes the log of a run of `plan` that `ended` so and was marked at these hands, if it was, and sums up.
+/// Closes the log of a run of `plan` that `ended` so and was marked at these hands, if it was, and
+/// sums up.
 pub(super) fn closed<R, S: Arms>(
     plan: &Plan<S>,
     control: &ControlEnd<R>,

@@ -1,4 +1,5 @@
-//! The frames of our cameras' process in a real-time run: into the log, the pictures and the console; and the process itself, looked after.
+//! The frames of our cameras' process in a real-time run: into the log, the pictures and the
+//! console; and the process itself, looked after.
 
 use hal::{CameraFrame, Intrinsics};
 use trocar_log::{Level, SideLog};
@@ -43,8 +44,8 @@ pub(super) struct FramesEnd {
 }
 
 impl FramesThread {
-    /// Reads the frames of the cameras `wanted` that `child` shows, of which `plan` keeps some; a policy looks through some of them if
-    /// they are `needed`.
+    /// Reads the frames of the cameras `wanted` that `child` shows, of which `plan` keeps some; a
+    /// policy looks through some of them if they are `needed`.
     pub(super) fn open(
         plan: &Plan,
         child: CamerasChild,
@@ -74,7 +75,8 @@ impl FramesThread {
         })
     }
 
-    /// Takes frames until the control thread has stopped; ends the run if the policy's cameras are gone for good.
+    /// Takes frames until the control thread has stopped; ends the run if the policy's cameras are
+    /// gone for good.
     pub(super) fn run(
         mut self,
         plan: &Plan,
@@ -108,7 +110,8 @@ impl FramesThread {
         })
     }
 
-    /// Starts the process again when it is time to; why the run ends with it, if so. A run whose policy needs none goes on without frames.
+    /// Starts the process again when it is time to; why the run ends with it, if so. A run whose
+    /// policy needs none goes on without frames.
     fn look_after(
         &mut self,
         supervisor: &mut Supervisor,
@@ -165,7 +168,8 @@ impl FramesThread {
     }
 }
 
-/// Shows pages what they want of `view`, the newest frame of the task's camera of this index, by the run's `clock`.
+/// Shows pages what they want of `view`, the newest frame of the task's camera of this index, by
+/// the run's `clock`.
 pub(super) fn show_view(to: &FrameTap, camera: usize, view: &FrameView, clock: MonotonicClock) {
     let header = view.header();
     let planes = FramePlanes {

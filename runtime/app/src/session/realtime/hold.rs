@@ -1,4 +1,5 @@
-//! Pauses that the run itself makes while nobody answers, beside those of the operator, and its end. Hot path: bounded, no allocation.
+//! Pauses that the run itself makes while nobody answers, beside those of the operator, and its
+//! end. Hot path: bounded, no allocation.
 
 use trocar_control::OperatorEvent;
 
@@ -9,7 +10,8 @@ pub(super) struct Hold {
     holds: bool,
     /// The operator does.
     paused: bool,
-    /// The run's own hold has ended under the operator's: whoever ends that lets the arms go on from where they are.
+    /// The run's own hold has ended under the operator's: whoever ends that lets the arms go on
+    /// from where they are.
     held: bool,
     /// What the run has said at its end.
     ending: Option<OperatorEvent>,
@@ -18,9 +20,10 @@ pub(super) struct Hold {
 }
 
 impl Hold {
-    /// What the controller is told next: the run's own pause as it is `wanted`, then what the `operator` asks for. The end of the run's
-    /// pause is not the end of the operator's, and the operator does not end the run's: arms that are enabled while it lasts are paused
-    /// in the next tick.
+    /// What the controller is told next: the run's own pause as it is `wanted`, then what the
+    /// `operator` asks for. The end of the run's pause is not the end of the operator's, and the
+    /// operator does not end the run's: arms that are enabled while it lasts are paused in the next
+    /// tick.
     pub(super) fn next(
         &mut self,
         wanted: bool,
@@ -64,12 +67,14 @@ impl Hold {
         Some(asked)
     }
 
-    /// An arm has a fault: it is no longer paused, and the controller has paused the `others`, whom only the operator lets go on.
+    /// An arm has a fault: it is no longer paused, and the controller has paused the `others`, whom
+    /// only the operator lets go on.
     pub(super) fn faulted(&mut self, others: bool) {
         (self.paused, self.held) = (others, false);
     }
 
-    /// What the controller is told next at the run's end: to come to rest, then, when it is time, to let the arms have no torque.
+    /// What the controller is told next at the run's end: to come to rest, then, when it is time,
+    /// to let the arms have no torque.
     pub(super) fn end(&mut self, releases: bool) -> Option<OperatorEvent> {
         let wanted = match (self.ending, releases) {
             (None, _) => OperatorEvent::Pause,
@@ -86,7 +91,8 @@ mod tests {
     use super::Hold;
     use trocar_control::OperatorEvent::{self, Disable, Enable, GoOn, Pause, Resume, Speed};
 
-    /// Each line: whether the run wants the arms to hold, what the operator asks for, what the controller hears.
+    /// Each line: whether the run wants the arms to hold, what the operator asks for, what the
+    /// controller hears.
     #[test]
     fn neither_ends_the_pause_of_the_other() {
         let slow = Speed { percent: 30 };
@@ -125,7 +131,8 @@ mod tests {
         expect(false, None, None);
     }
 
-    /// The controller pauses an arm beside one with a fault: the end of the run's hold does not end that.
+    /// The controller pauses an arm beside one with a fault: the end of the run's hold does not end
+    /// that.
     #[test]
     fn beside_a_fault_only_the_operator_lets_arms_go_on() {
         let mut hold = Hold::default();

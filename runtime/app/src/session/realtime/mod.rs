@@ -1,4 +1,5 @@
-//! A real-time run of one arm or two: the control thread on its own, its neighbours on theirs, the network and the cameras in processes of their own.
+//! A real-time run of one arm or two: the control thread on its own, its neighbours on theirs, the
+//! network and the cameras in processes of their own.
 //!
 //! ```text
 //!  simulation thread (1 kHz) ── measured ──> control thread (1 kHz, SCHED_FIFO) ── commands ──> simulation thread
@@ -9,17 +10,20 @@
 //!     └────────────────> cameras' process ── frames ──────────────────> frames thread
 //! ```
 //!
-//! Both processes are started by the run, load side by side, and are supervised alike ([`Supervision`](trocar_control::Supervision)): one that dies or
-//! hangs is started again, and the arms hold meanwhile if their policy needs it. Between processes there are topics alone. Where nobody
-//! looks, no policy, no log, no console, there is no cameras' process. What pages of the console look at is drawn there too, on topics of its own.
-//! With [`Plan::cameras_on`] nothing is drawn here: frames are others', the arms are shown as they were when these were taken, and cameras are watched
-//! as a robot's are. Instants on topics are the system's `CLOCK_MONOTONIC`.
+//! Both processes are started by the run, load side by side, and are supervised alike
+//! ([`Supervision`](trocar_control::Supervision)): one that dies or hangs is started again, and the
+//! arms hold meanwhile if their policy needs it. Between processes there are topics alone. Where
+//! nobody looks, no policy, no log, no console, there is no cameras' process. What pages of the
+//! console look at is drawn there too, on topics of its own. With [`Plan::cameras_on`] nothing is
+//! drawn here: frames are others', the arms are shown as they were when these were taken, and
+//! cameras are watched as a robot's are. Instants on topics are the system's `CLOCK_MONOTONIC`.
 //!
-//! Everything that reaches the control thread comes through wait-free mailboxes and queues. What is of one instant travels
-//! together: all arms' measurements, commands and chunks; only on the topics has each arm its own. A command travels with its
-//! tail, which the arm plays while the control thread is late; an arm that was late itself makes up for it with the commands
-//! of then. The run ends with the task's verdict, with a fault of any arm, with a signal, with the policy process, or with any
-//! thread: all arms then come to rest, the control thread stops, and everybody follows.
+//! Everything that reaches the control thread comes through wait-free mailboxes and queues. What is
+//! of one instant travels together: all arms' measurements, commands and chunks; only on the topics
+//! has each arm its own. A command travels with its tail, which the arm plays while the control
+//! thread is late; an arm that was late itself makes up for it with the commands of then. The run
+//! ends with the task's verdict, with a fault of any arm, with a signal, with the policy process,
+//! or with any thread: all arms then come to rest, the control thread stops, and everybody follows.
 
 mod arm_chunks;
 mod arm_states;
@@ -104,11 +108,12 @@ const COMMANDS: usize = 1000;
 /// Time for every thread to be up before the first period, ns.
 const START_NS: u64 = 20_000_000;
 
-/// Runs one episode in real time against the simulated arms; `say` tells what is waited for. The processes of policy and cameras are verbs of the
-/// program that calls this, which is to be `trocar`.
+/// Runs one episode in real time against the simulated arms; `say` tells what is waited for. The
+/// processes of policy and cameras are verbs of the program that calls this, which is to be
+/// `trocar`.
 ///
-/// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason `interrupted`; until they rest it takes three
-/// to end the process at once.
+/// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason
+/// `interrupted`; until they rest it takes three to end the process at once.
 ///
 /// # Errors
 /// From the configuration, the policy, the simulation, the topics or the log.
@@ -213,7 +218,8 @@ fn split(recorder: Option<Recorder>) -> LogEnds {
     }
 }
 
-/// The operator's socket, and the control thread's end of it; [`operator::check`](super::operator::check) says beforehand why there is none.
+/// The operator's socket, and the control thread's end of it;
+/// [`operator::check`](super::operator::check) says beforehand why there is none.
 fn listen(enables: bool) -> (Option<Listener>, OperatorPort) {
     match Listener::open(enables) {
         Ok((listener, port)) => (Some(listener), port),

@@ -1,4 +1,5 @@
-//! What a policy process sees: reports and frames of one instant as an observation, and which of them it is asked about.
+//! What a policy process sees: reports and frames of one instant as an observation, and which of
+//! them it is asked about.
 
 use std::collections::VecDeque;
 
@@ -20,7 +21,8 @@ pub(in crate::session) struct ObservationBuffer {
     views: Vec<Option<FrameView>>,
 }
 
-/// The newest reports of an arm, the newest last: a frame comes after that of its instant, and others may have come meanwhile.
+/// The newest reports of an arm, the newest last: a frame comes after that of its instant, and
+/// others may have come meanwhile.
 #[derive(Debug, Default)]
 struct Past(VecDeque<ArmReport>);
 
@@ -99,8 +101,8 @@ impl ObservationBuffer {
         Ok(())
     }
 
-    /// The newest observation, once its parts belong together: the arms were measured when the first camera took its frame, and
-    /// frames of others may be `frames_within_ns` from it.
+    /// The newest observation, once its parts belong together: the arms were measured when the
+    /// first camera took its frame, and frames of others may be `frames_within_ns` from it.
     pub(in crate::session) fn whole(
         &self,
         frames_within_ns: u64,
@@ -137,8 +139,8 @@ pub(in crate::session) enum StepKind {
     Skip,
 }
 
-/// Turns begin at multiples of the query interval. When the camera or the network was too slow for the first observation of a turn, the
-/// newest one takes its place.
+/// Turns begin at multiples of the query interval. When the camera or the network was too slow for
+/// the first observation of a turn, the newest one takes its place.
 #[derive(Debug)]
 pub(in crate::session) struct QuerySchedule {
     every_steps: u64,
@@ -192,7 +194,8 @@ impl QuerySchedule {
     }
 }
 
-/// Time and sequence of the newest reports that are of one instant, that of `seen_at` if there is one, and the arms in them.
+/// Time and sequence of the newest reports that are of one instant, that of `seen_at` if there is
+/// one, and the arms in them.
 fn of_one_instant(
     reports: &[Past],
     seen_at: Option<TimeNs>,
@@ -243,7 +246,8 @@ mod tests {
         assert!(of_one_instant(&[], None).is_none());
     }
 
-    /// The arms are measured on while a camera draws: its frame is seen with the arms of its own instant, and with no others.
+    /// The arms are measured on while a camera draws: its frame is seen with the arms of its own
+    /// instant, and with no others.
     #[test]
     fn a_frame_goes_with_the_arms_of_its_instant() {
         let arms = [past(&[3, 4, 5], 0.1), past(&[3, 4], 0.2)];

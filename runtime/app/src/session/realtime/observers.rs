@@ -1,5 +1,5 @@
-//! Who is shown simulated arms beside the controller: the threads between the simulation and the topics, which shows them to other processes, and
-//! takes the frames of these.
+//! Who is shown simulated arms beside the controller: the threads between the simulation and the
+//! topics, which shows them to other processes, and takes the frames of these.
 
 use std::sync::Arc;
 use std::thread;
@@ -54,7 +54,8 @@ struct Others {
 }
 
 impl Observers {
-    /// Opens what `stage` needs for a run of `plan` with the policy `child`, if it has one; also gives the simulation's end.
+    /// Opens what `stage` needs for a run of `plan` with the policy `child`, if it has one; also
+    /// gives the simulation's end.
     pub(super) fn open(
         plan: &Plan,
         stage: Stage,
@@ -115,7 +116,8 @@ impl Observers {
         Ok((Self { frames, states }, shown))
     }
 
-    /// Runs `simulation` from `first` on by `clock`, and these threads beside it, until the control thread has stopped.
+    /// Runs `simulation` from `first` on by `clock`, and these threads beside it, until the control
+    /// thread has stopped.
     pub(super) fn run(
         self,
         plan: &Plan,

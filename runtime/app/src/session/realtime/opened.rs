@@ -1,4 +1,5 @@
-//! The policy of a run in real time: known at first, with the cameras that it looks through, then answering.
+//! The policy of a run in real time: known at first, with the cameras that it looks through, then
+//! answering.
 
 use std::path::Path;
 
@@ -24,8 +25,8 @@ pub(super) enum Opened<'a> {
 }
 
 impl<'a> Opened<'a> {
-    /// The policy of `plan`; an external one is waited for. With `outside`, the frames come on topics of another process, and an
-    /// external policy is there too.
+    /// The policy of `plan`; an external one is waited for. With `outside`, the frames come on
+    /// topics of another process, and an external policy is there too.
     pub(super) fn open<S: Arms>(
         plan: &'a Plan<S>,
         outside: Option<&Outside<'_>>,
@@ -103,7 +104,8 @@ impl<'a> Opened<'a> {
         }
     }
 
-    /// Waits until it can answer: in another process, which finds its frames `outside`, or in this one.
+    /// Waits until it can answer: in another process, which finds its frames `outside`, or in this
+    /// one.
     pub(super) fn start<S: Arms>(
         self,
         plan: &Plan<S>,

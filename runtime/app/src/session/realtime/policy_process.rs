@@ -35,7 +35,8 @@ pub struct PolicyProcessOptions {
     pub policy: PathBuf,
     /// Where and how the network computes.
     pub compute: Compute,
-    /// How far a frame of any camera but the first may be from the instant of an observation, which is the first one's, ms: 0 where cameras and arms have one clock, as in a simulation.
+    /// How far a frame of any camera but the first may be from the instant of an observation, which
+    /// is the first one's, ms: 0 where cameras and arms have one clock, as in a simulation.
     pub frames_within_ms: u64,
     /// The process that started this one, as it knows itself: it may die before this one can look.
     pub parent: u32,

@@ -1,4 +1,5 @@
-//! Where everything in a simulated scene is, on topics for whoever draws it, and for the pages of a console.
+//! Where everything in a simulated scene is, on topics for whoever draws it, and for the pages of a
+//! console.
 
 use hal::TimeNs;
 use trocar_log::{Level, SceneLog};
@@ -43,7 +44,8 @@ impl SceneForCameras {
         })
     }
 
-    /// Shows `start`, as it is before the run begins, at most once a policy step: other cameras than ours may wait for something to draw.
+    /// Shows `start`, as it is before the run begins, at most once a policy step: other cameras
+    /// than ours may wait for something to draw.
     pub(super) fn show_start(&mut self, start: &SceneSnapshot) -> Result<(), SessionError> {
         let (clock, shown) = &mut self.waited;
         let now = clock.now();
@@ -79,7 +81,8 @@ fn reported(snapshot: &Snapshot, clock: MonotonicClock, world: &WorldName) -> Sn
     snapshot_report::report(stamp, snapshot.step, world, &snapshot.scene)
 }
 
-/// What pages of a console look at. They have snapshots of their own, so that none for the policy or the log is replaced.
+/// What pages of a console look at. They have snapshots of their own, so that none for the policy
+/// or the log is replaced.
 pub(super) struct SceneForPages {
     tap: SceneTap,
     frames: FrameTap,
@@ -134,7 +137,8 @@ impl ForPages for SceneForPages {
     }
 }
 
-/// What a world in another process says of itself beside the state that decides the run: where everything is, and how its task stands.
+/// What a world in another process says of itself beside the state that decides the run: where
+/// everything is, and how its task stands.
 pub(super) struct WorldTopics {
     snapshots: Subscriber<SnapshotReport>,
     task: Subscriber<TaskReport>,
@@ -201,7 +205,8 @@ impl LoggedWorld {
         }
     }
 
-    /// Takes in what is new. A scene is written when it is known how its task stands, or when the next one comes.
+    /// Takes in what is new. A scene is written when it is known how its task stands, or when the
+    /// next one comes.
     fn hear(&mut self, task: Option<TaskReport>, scene: Option<(TimeNs, SnapshotReport)>) {
         if scene.is_some() {
             self.write();
@@ -253,7 +258,8 @@ impl ForPages for WorldForPages {
     }
 }
 
-/// Hands the newest instant to the pages and the log of `scene`, if there is one; one that can't be shown ends with a word, the run goes on.
+/// Hands the newest instant to the pages and the log of `scene`, if there is one; one that can't be
+/// shown ends with a word, the run goes on.
 pub(super) fn show_pages(
     scene: &mut Option<impl ForPages>,
     clock: MonotonicClock,
@@ -282,7 +288,8 @@ mod tests {
     use super::*;
     use crate::session::scratch::Scratch;
 
-    /// A scene is written once, with how its own task stood, though that comes after it, or else with the newest that is known.
+    /// A scene is written once, with how its own task stood, though that comes after it, or else
+    /// with the newest that is known.
     #[test]
     fn a_world_is_logged_with_how_its_task_stood() {
         let folder = Scratch::folder("logged-world");

@@ -1,4 +1,5 @@
-//! What the console hears of a run: ends for the control thread and the simulation, and for whoever shows its scene.
+//! What the console hears of a run: ends for the control thread and the simulation, and for whoever
+//! shows its scene.
 
 use std::sync::Arc;
 
@@ -20,7 +21,8 @@ use crate::session::scene_options::BASELINE_M;
 use crate::session::teleop::{Hands, picture};
 use crate::session::{Plan, SessionError};
 
-/// Shows a simulated task, steered at `listener`: the end for the simulation, and the scene that pages are shown, if there is a console.
+/// Shows a simulated task, steered at `listener`: the end for the simulation, and the scene that
+/// pages are shown, if there is a console.
 pub(super) fn show_task(
     plan: &Plan,
     start: &SceneSnapshot,
@@ -67,7 +69,8 @@ fn picture_of(task: &TaskConfig) -> Option<PictureFacts> {
     })
 }
 
-/// Pages that are shown frames of the cameras of these names, in the order in which they were told of them.
+/// Pages that are shown frames of the cameras of these names, in the order in which they were told
+/// of them.
 pub(super) struct CameraPages {
     to: FrameTap,
     names: Vec<String>,
@@ -82,7 +85,8 @@ impl CameraPages {
         }
     }
 
-    /// Shows pages what they want of `view`, the newest frame of the camera `name`, by the run's `clock`.
+    /// Shows pages what they want of `view`, the newest frame of the camera `name`, by the run's
+    /// `clock`.
     pub(super) fn show(&self, name: &str, view: &FrameView, clock: MonotonicClock) {
         if let Some(camera) = self.names.iter().position(|known| known == name) {
             show_view(&self.to, camera, view, clock);
@@ -102,7 +106,8 @@ pub(super) struct RigPages {
     pub(super) marked_by: Option<Arc<Hands>>,
 }
 
-/// Shows the scene of a `world` of another process on the pages of the console of `plan`, which begins with `start` if that is known.
+/// Shows the scene of a `world` of another process on the pages of the console of `plan`, which
+/// begins with `start` if that is known.
 pub(super) fn show_world(
     (plan, console): (&Plan, &Console),
     world: WorldTopics,
@@ -117,8 +122,9 @@ pub(super) fn show_world(
     Ok(world.with_scene(scene))
 }
 
-/// Shows a run without a simulation of its own, whose arms are on these interfaces with this bit rate, bit/s, with these cameras and, of a task, its
-/// world: what pages and log are told while it goes on.
+/// Shows a run without a simulation of its own, whose arms are on these interfaces with this bit
+/// rate, bit/s, with these cameras and, of a task, its world: what pages and log are told while it
+/// goes on.
 pub(super) fn show_rig<S: Arms>(
     plan: &Plan<S>,
     (interfaces, bit_rate): (Vec<String>, u32),
@@ -159,7 +165,8 @@ pub(super) fn show_rig<S: Arms>(
     }
 }
 
-/// The hands, at which a person may say from now on how the run goes; none if a task judges it, or no log keeps what they say.
+/// The hands, at which a person may say from now on how the run goes; none if a task judges it, or
+/// no log keeps what they say.
 fn marked_by<S: Arms>(plan: &Plan<S>, hands: Arc<Hands>) -> Option<Arc<Hands>> {
     if plan.setup.task().is_some() || plan.log.is_none() {
         return None;

@@ -1,4 +1,5 @@
-//! Flags between the threads of a run, and the promise that no thread's end leaves the others waiting.
+//! Flags between the threads of a run, and the promise that no thread's end leaves the others
+//! waiting.
 
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -122,7 +123,8 @@ impl Signals {
         self.lacking.fetch_and(!(what as u8), Ordering::AcqRel);
     }
 
-    /// Has the log say something, which viewers hear at once; whoever has the log takes it from here.
+    /// Has the log say something, which viewers hear at once; whoever has the log takes it from
+    /// here.
     pub(super) fn tell(&self, at: TimeNs, level: Level, text: &str) {
         if let Some(console) = &self.console {
             console.happened(at, level, text);
@@ -162,7 +164,8 @@ impl Served for Signals {
     }
 }
 
-/// Held by every thread but the control thread: when the thread ends for whatever reason, a panic included, so does the run.
+/// Held by every thread but the control thread: when the thread ends for whatever reason, a panic
+/// included, so does the run.
 pub(super) struct EndRunOnDrop<'a>(pub(super) &'a Signals);
 
 impl Drop for EndRunOnDrop<'_> {
@@ -181,7 +184,8 @@ impl Drop for StopsAll<'_> {
     }
 }
 
-/// Held as long as arms may move: when it goes, for whatever reason, the next signal may end the process at once.
+/// Held as long as arms may move: when it goes, for whatever reason, the next signal may end the
+/// process at once.
 pub(super) struct Moving;
 
 impl Drop for Moving {

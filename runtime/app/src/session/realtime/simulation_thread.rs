@@ -1,4 +1,5 @@
-//! The simulated arms in a real-time run: one step a millisecond, and the local policies that look at its scene.
+//! The simulated arms in a real-time run: one step a millisecond, and the local policies that look
+//! at its scene.
 
 use std::sync::Arc;
 use std::thread::Thread;
@@ -23,13 +24,16 @@ use crate::session::{SessionError, scene_record};
 use trocar_log::{Level, SceneLog};
 use trocar_topics::TaskReport;
 
-/// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a core at every step.
+/// Steps from one frame for the log or the pictures to the next. Drawing in software takes half a
+/// core at every step.
 const FRAME_EVERY_STEPS: u64 = 5;
 
-/// Ticks from one instant that the console sees to the next: thirty a second, as many as it hands on of a stream.
+/// Ticks from one instant that the console sees to the next: thirty a second, as many as it hands
+/// on of a stream.
 const CONSOLE_TICKS: u64 = BETWEEN_NS / TICK_NS;
 
-/// Ticks that a picture for the console may take to be drawn; one that would still be at it when a policy asks is left out.
+/// Ticks that a picture for the console may take to be drawn; one that would still be at it when a
+/// policy asks is left out.
 const DRAWING_TICKS: u64 = 20;
 
 /// What is shown of a policy step, to whom, and when.
@@ -72,7 +76,8 @@ impl Shown {
             || self.frames && step.is_multiple_of(FRAME_EVERY_STEPS)
     }
 
-    /// Shows the step to those that want to see it. One that is still busy with another step finds the newest when it is done.
+    /// Shows the step to those that want to see it. One that is still busy with another step finds
+    /// the newest when it is done.
     fn show(&mut self, step: u64, arms: &PerArm<ArmObservation>, simulation: &Simulation) {
         let stamp = arms.first.state.stamp;
         let snapshot = || Snapshot {
@@ -82,7 +87,8 @@ impl Shown {
         };
         if self.wanted(step) {
             if let Some(states) = &mut self.states {
-                // Full only if their thread has not run for many steps: what it would say then is of no interest.
+                // Full only if their thread has not run for many steps: what it would say then is
+                // of no interest.
                 let _late = states.push(StepStates { step, arms: *arms });
             }
             if let Some(scene) = &mut self.scene {
@@ -99,7 +105,8 @@ impl Shown {
         self.wakes.iter().for_each(Thread::unpark);
     }
 
-    /// Shows the console `tick`, whose instant is `stamp`, if it is its turn and a page looks at a camera.
+    /// Shows the console `tick`, whose instant is `stamp`, if it is its turn and a page looks at a
+    /// camera.
     fn show_console(&mut self, tick: u64, stamp: TimeNs, simulation: &Simulation) {
         let turn = is_for_console(tick, self.query_every_steps);
         let console = self.console.as_mut();
@@ -114,7 +121,8 @@ impl Shown {
     }
 }
 
-/// Whether the console sees `tick`, beside a policy process that is asked every so many steps: what it sees comes first.
+/// Whether the console sees `tick`, beside a policy process that is asked every so many steps: what
+/// it sees comes first.
 fn is_for_console(tick: u64, query_every_steps: Option<u64>) -> bool {
     let asked = |every| precedes_query(tick, every * STEP_TICKS, DRAWING_TICKS);
     tick.is_multiple_of(CONSOLE_TICKS) && !query_every_steps.is_some_and(asked)
@@ -168,7 +176,8 @@ impl SimulationThread {
         };
         while !signals.stopped() {
             let wake = periodic.wait();
-            // After a late wake-up the missed milliseconds are made up for, so that simulated time stays real time.
+            // After a late wake-up the missed milliseconds are made up for, so that simulated time
+            // stays real time.
             for late in (0..=wake.skipped).rev() {
                 if signals.stopped() {
                     break;
@@ -199,8 +208,8 @@ impl SimulationThread {
         !matches!(outcome, Outcome::Running)
     }
 
-    /// Hands over the newest commands that are for the step at `now`, which is `late` steps behind; without them the arms
-    /// play the last ones' tails.
+    /// Hands over the newest commands that are for the step at `now`, which is `late` steps behind;
+    /// without them the arms play the last ones' tails.
     fn command(&mut self, late: u64, now: TimeNs) -> Result<(), SessionError> {
         let mut newest = None;
         while let Ok(commands) = self.commands.peek()
@@ -263,7 +272,8 @@ impl SimulationThread {
         let Some(intervention) = &mut self.intervention else {
             return Ok(());
         };
-        // What was asked is of whoever drove up to now: the control thread takes a change with a later tick.
+        // What was asked is of whoever drove up to now: the control thread takes a change with a
+        // later tick.
         let asked = intervention.asked();
         let more_s = intervention.answer(arms)?;
         self.simulation.grant_s(more_s);
@@ -281,7 +291,8 @@ impl SimulationThread {
         Ok(())
     }
 
-    /// Whether it is a local policy's turn; one beside an operator has none before the episode `runs`.
+    /// Whether it is a local policy's turn; one beside an operator has none before the episode
+    /// `runs`.
     fn asks(&self, tick: u64, runs: bool) -> bool {
         let source = self.local.as_ref().map(|(source, _)| source);
         let source = source.filter(|_| runs || self.intervention.is_none());
@@ -347,8 +358,8 @@ fn firsts(chunks: &PerArm<Chunk>) -> Option<PerArm<TipTarget>> {
 
 /// Whether the step at `now`, which is `late` steps behind, follows the command of `stamp`.
 ///
-/// A thread that makes up for missed milliseconds does not move the arm before its time. The step that is not behind
-/// takes whatever there is.
+/// A thread that makes up for missed milliseconds does not move the arm before its time. The step
+/// that is not behind takes whatever there is.
 pub(in crate::session) const fn is_due(stamp: TimeNs, late: u64, now: TimeNs) -> bool {
     late == 0 || stamp.0 <= now.0
 }
@@ -374,7 +385,8 @@ mod tests {
         assert!(is_due(stamp, 1, stamp));
     }
 
-    /// A page sees 25 instants a second and more, also beside a policy process, whose frames none delays.
+    /// A page sees 25 instants a second and more, also beside a policy process, whose frames none
+    /// delays.
     #[test]
     fn the_console_has_a_pace_of_its_own() {
         for every in [None, Some(25), Some(5), Some(4)] {

@@ -1,8 +1,10 @@
-//! A policy process under supervision: its chunks to the control thread, and what is done when it dies or hangs.
+//! A policy process under supervision: its chunks to the control thread, and what is done when it
+//! dies or hangs.
 //!
-//! Without restarts (`[policy]` in `control.toml`) the run ends with it. With some, the arms come to a smooth stop and hold, while our
-//! own process is started again, or an external one is waited for. They go on with the first chunk that answers an observation from
-//! after it was ready again, if the gate lets it through.
+//! Without restarts (`[policy]` in `control.toml`) the run ends with it. With some, the arms come
+//! to a smooth stop and hold, while our own process is started again, or an external one is waited
+//! for. They go on with the first chunk that answers an observation from after it was ready again,
+//! if the gate lets it through.
 
 use hal::{Chunk, PerArm};
 use rtrb::Producer;

@@ -1,7 +1,8 @@
 //! What is done when a process of the run dies or hangs, be it the policy's or the cameras'.
 //!
-//! Without restarts (`[policy]` in `control.toml`) it is lost for good. With some, the arms come to a smooth stop and hold, if they need
-//! it, while our own process is started again, or another's is waited for.
+//! Without restarts (`[policy]` in `control.toml`) it is lost for good. With some, the arms come to
+//! a smooth stop and hold, if they need it, while our own process is started again, or another's is
+//! waited for.
 
 use hal::TimeNs;
 use trocar_control::Supervision;
@@ -22,13 +23,15 @@ pub(super) trait Remote {
     /// What it is called in messages.
     fn who(&self) -> String;
 
-    /// Whether it was started here. Of others an end can't be seen while they are away: they come back as other processes.
+    /// Whether it was started here. Of others an end can't be seen while they are away: they come
+    /// back as other processes.
     fn is_own(&self) -> bool;
 
     /// Begins anew with one that has died or hangs. Nothing that was said before counts.
     fn call_again(&mut self) -> Result<(), SessionError>;
 
-    /// Whether it was called again and is not started yet, since what it is started with is looked at first.
+    /// Whether it was called again and is not started yet, since what it is started with is looked
+    /// at first.
     fn is_preparing(&self) -> bool {
         false
     }
@@ -46,7 +49,8 @@ pub(super) trait Remote {
     fn lost(&mut self) -> Option<String>;
 }
 
-/// Waits until `remote` is ready for the first time; `clock` was made when it was started, and `events` are of its topics.
+/// Waits until `remote` is ready for the first time; `clock` was made when it was started, and
+/// `events` are of its topics.
 pub(super) fn await_ready(
     remote: &mut impl Remote,
     (clock, within_ns): (MonotonicClock, u64),
@@ -106,7 +110,8 @@ pub(super) struct Supervisor {
 }
 
 impl Supervisor {
-    /// By the run's `clock`; while the process is away the arms hold for what is `lacking`, if anything.
+    /// By the run's `clock`; while the process is away the arms hold for what is `lacking`, if
+    /// anything.
     pub(super) const fn new(
         lacking: Option<HoldCause>,
         clock: MonotonicClock,
@@ -298,7 +303,8 @@ mod tests {
         Supervisor::new(lacking, MonotonicClock::new(), (rules, |_| ()))
     }
 
-    /// Arms that need frames hold until the policy has answered new ones; then it may be lost no more often than is allowed.
+    /// Arms that need frames hold until the policy has answered new ones; then it may be lost no
+    /// more often than is allowed.
     #[test]
     fn arms_hold_for_frames_and_then_for_an_answer() {
         let (signals, mut supervisor) =
@@ -322,7 +328,8 @@ mod tests {
         assert_eq!(look(&mut fake), Some("the process ended".to_owned()));
     }
 
-    /// One in whose place another would be started is lost for good, however many restarts are left.
+    /// One in whose place another would be started is lost for good, however many restarts are
+    /// left.
     #[test]
     fn another_process_is_not_started_in_its_place() {
         let (signals, mut supervisor) =

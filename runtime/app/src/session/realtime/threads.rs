@@ -1,4 +1,5 @@
-//! The threads of a run: one controls, one observes the arms or simulates them, and the first looks after the policy process.
+//! The threads of a run: one controls, one observes the arms or simulates them, and the first looks
+//! after the policy process.
 
 use std::thread::{self, ScopedJoinHandle};
 
@@ -25,8 +26,8 @@ pub(super) struct Ends<R, T> {
     pub(super) seen: Result<T, SessionError>,
 }
 
-/// Gives the queue for chunks to whoever answers: a source of this process, or the policy process, which is supervised as `plan` says
-/// by the run's `clock`.
+/// Gives the queue for chunks to whoever answers: a source of this process, or the policy process,
+/// which is supervised as `plan` says by the run's `clock`.
 pub(super) fn wired<'a, S: Arms>(
     plan: &Plan<S>,
     source: Option<ChunkSource>,

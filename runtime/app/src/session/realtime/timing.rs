@@ -17,7 +17,8 @@ const PARTS: usize = 20;
 /// How long each is, ns.
 const PART_NS: u64 = 1_000_000_000 / PARTS as u64;
 
-/// Periods skipped within the last second, give or take a part of it. Hot path: bounded, no allocation.
+/// Periods skipped within the last second, give or take a part of it. Hot path: bounded, no
+/// allocation.
 #[derive(Debug, Default)]
 struct Recent {
     parts: [u64; PARTS],
@@ -59,8 +60,9 @@ pub(super) struct LoopTiming {
 }
 
 impl LoopTiming {
-    /// Makes the calling thread what `options` ask for, as far as the system grants it, and begins to count; `held` is what the process
-    /// got. More than `limit` overruns within a second are too many.
+    /// Makes the calling thread what `options` ask for, as far as the system grants it, and begins
+    /// to count; `held` is what the process got. More than `limit` overruns within a second are too
+    /// many.
     pub(super) fn begin(options: &RtOptions, held: &Held, limit: Option<u64>) -> Self {
         let (wakes, periods) = (Histogram::new(), Histogram::new());
         let mut granted = configure_thread(options).unwrap_or_else(|refused| refused.0);
@@ -81,7 +83,8 @@ impl LoopTiming {
         }
     }
 
-    /// Counts a period that has begun; how many were skipped within the last second, if they are too many.
+    /// Counts a period that has begun; how many were skipped within the last second, if they are
+    /// too many.
     pub(super) fn woke(&mut self, period: &Period) -> Option<u64> {
         // What the thread took to start is no overrun of the loop.
         let skipped = self.woke_ns.map_or(0, |_| period.skipped);
@@ -126,7 +129,8 @@ pub(super) struct LoopEnd {
 }
 
 impl LoopEnd {
-    /// The same for people; `log_dropped` is 0, since only the log knows it, and of the ticks' compute time there is no histogram yet.
+    /// The same for people; `log_dropped` is 0, since only the log knows it, and of the ticks'
+    /// compute time there is no histogram yet.
     pub(super) fn counts(&self) -> RealTimeCounts {
         RealTimeCounts {
             overruns: self.skipped,

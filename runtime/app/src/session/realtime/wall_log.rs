@@ -1,4 +1,5 @@
-//! What the log says of the time of day. Its own times are of a clock that nobody can set; these events say which time of day they are.
+//! What the log says of the time of day. Its own times are of a clock that nobody can set; these
+//! events say which time of day they are.
 
 use hal::TimeNs;
 use trocar_log::Level;

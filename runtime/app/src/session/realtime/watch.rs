@@ -1,4 +1,5 @@
-//! The run as its first thread sees it: chunks from the policy process to the control thread, and reasons to end.
+//! The run as its first thread sees it: chunks from the policy process to the control thread, and
+//! reasons to end.
 
 use super::signals::{EndRunOnDrop, Signals};
 use super::supervised::Supervised;

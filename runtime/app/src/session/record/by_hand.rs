@@ -1,8 +1,10 @@
-//! Demonstrations by hand: a person starts each episode on the console, does the task in real time, and keeps it or not. With a policy
-//! that drives, the person takes over where it fails; each frame says who drove.
+//! Demonstrations by hand: a person starts each episode on the console, does the task in real time,
+//! and keeps it or not. With a policy that drives, the person takes over where it fails; each frame
+//! says who drove.
 //!
-//! An episode waits for its start with its time standing still. It ends with the judge's verdict or with the person's word; what is kept is
-//! drawn afterwards from where everything was at each policy step, so pictures cost the run nothing and none is missing.
+//! An episode waits for its start with its time standing still. It ends with the judge's verdict or
+//! with the person's word; what is kept is drawn afterwards from where everything was at each
+//! policy step, so pictures cost the run nothing and none is missing.
 
 use hal::{ArmObservation, CameraFrame, PerArm, TipTarget};
 use trocar_tasks::cameras::SceneCameras;
@@ -17,11 +19,12 @@ use crate::session::run::{INTERRUPTED, RunResult, STOPPED};
 use crate::session::teleop::{self, DemonstrationStep, EpisodeCommand, Phase, Recording};
 use crate::session::{Plan, SessionError, Setup};
 
-/// Records the episodes that a person does by hand on `console` until enough are kept; whatever else was done is reported. A signal, or the
-/// operator's stop, ends it with what there is.
+/// Records the episodes that a person does by hand on `console` until enough are kept; whatever
+/// else was done is reported. A signal, or the operator's stop, ends it with what there is.
 ///
 /// # Errors
-/// Those of [`record`](super::record), but that a person may fail as often as it takes; and those of a run in real time.
+/// Those of [`record`](super::record), but that a person may fail as often as it takes; and those
+/// of a run in real time.
 pub fn record_by_hand(
     plan: &Plan,
     options: &RecordOptions,
@@ -116,7 +119,8 @@ impl Studio {
         })
     }
 
-    /// The demonstration of the run of `plan` that ended with `result`, with its pictures if it may be kept.
+    /// The demonstration of the run of `plan` that ended with `result`, with its pictures if it may
+    /// be kept.
     fn draw(
         &mut self,
         plan: &Plan,

@@ -1,4 +1,5 @@
-//! Where demonstrations go: those that succeeded into the dataset, those that failed, if they are wanted, into one of their own.
+//! Where demonstrations go: those that succeeded into the dataset, those that failed, if they are
+//! wanted, into one of their own.
 
 use std::path::{Path, PathBuf};
 
@@ -47,7 +48,8 @@ pub(super) fn check(options: &RecordOptions) -> Result<(), SessionError> {
 }
 
 impl Datasets {
-    /// Creates the dataset, or opens the one to go on with, behind what was `found` there; creates that of the failures.
+    /// Creates the dataset, or opens the one to go on with, behind what was `found` there; creates
+    /// that of the failures.
     ///
     /// # Errors
     /// Those of [`begin`].
@@ -70,7 +72,8 @@ impl Datasets {
         Ok(Self { kept, failures })
     }
 
-    /// Writes a demonstration that succeeded, and one that failed with its reason if those are kept.
+    /// Writes a demonstration that succeeded, and one that failed with its reason if those are
+    /// kept.
     ///
     /// # Errors
     /// [`SessionError::Output`] if a file can't be written.

@@ -1,4 +1,5 @@
-//! Demonstrations: episodes of the expert, or of a policy of the caller's, written as a LeRobot v3 dataset.
+//! Demonstrations: episodes of the expert, or of a policy of the caller's, written as a LeRobot v3
+//! dataset.
 
 mod by_hand;
 mod failures;
@@ -32,7 +33,8 @@ use super::{Plan, PolicyChoice, SessionError, Setup, parallel};
 /// What to record.
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
-    /// How many successful episodes, with those that are there before; attempt i has the plan's seed + i, which wraps.
+    /// How many successful episodes, with those that are there before; attempt i has the plan's
+    /// seed + i, which wraps.
     pub episodes: usize,
     /// The dataset's directory; a new or an empty one, unless the recording goes on.
     pub out: PathBuf,
@@ -48,7 +50,8 @@ pub struct RecordOptions {
     pub disturb: Option<f64>,
     /// What the demonstrations do in words, as the dataset's `task`; the task's name if not given.
     pub instruction: Option<String>,
-    /// Keep attempts that failed too, as a dataset of their own in this directory, a new or an empty one; of a recording from its start.
+    /// Keep attempts that failed too, as a dataset of their own in this directory, a new or an
+    /// empty one; of a recording from its start.
     pub failures: Option<PathBuf>,
 }
 
@@ -179,16 +182,17 @@ impl Begun {
     }
 }
 
-/// Records the episodes of `plan`, whose policy is the expert, until enough attempts have succeeded; failed ones are reported, and kept apart if that is wanted. Once `stop` says so, those in progress are
-/// abandoned, and the dataset has what was done.
+/// Records the episodes of `plan`, whose policy is the expert, until enough attempts have
+/// succeeded; failed ones are reported, and kept apart if that is wanted. Once `stop` says so,
+/// those in progress are abandoned, and the dataset has what was done.
 ///
-/// A recording that goes on comes to the same episodes as one without a break: it begins behind the seed of the last one that is
-/// there. If there are enough already, nothing is touched.
+/// A recording that goes on comes to the same episodes as one without a break: it begins behind the
+/// seed of the last one that is there. If there are enough already, nothing is touched.
 ///
 /// # Errors
-/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty, or, to go on, if it holds no
-/// dataset, one that does not say how it was recorded, or one that was recorded with other options;
-/// [`SessionError::Unproductive`] if the expert fails far too often.
+/// From the simulation or the dataset; [`SessionError::BadArgument`] if the folder is not empty,
+/// or, to go on, if it holds no dataset, one that does not say how it was recorded, or one that was
+/// recorded with other options; [`SessionError::Unproductive`] if the expert fails far too often.
 pub fn record(
     plan: &Plan,
     options: &RecordOptions,
@@ -198,13 +202,15 @@ pub fn record(
     record_by(plan, options, None, stop, on_attempt)
 }
 
-/// The same with a policy of the caller's in the place of the expert, asked at every policy step: the action is the first target of its chunk, which
-/// is executed after the latency of `plan`, at once if that has none. The plan names it by [`PolicyChoice::Own`], and so does the dataset. `make` makes
-/// the policy of each job in its thread, anew where failed attempts are made up for, and one more at first; it is reset with the seed of each attempt.
+/// The same with a policy of the caller's in the place of the expert, asked at every policy step:
+/// the action is the first target of its chunk, which is executed after the latency of `plan`, at
+/// once if that has none. The plan names it by [`PolicyChoice::Own`], and so does the dataset.
+/// `make` makes the policy of each job in its thread, anew where failed attempts are made up for,
+/// and one more at first; it is reset with the seed of each attempt.
 ///
 /// # Errors
-/// Those of [`record`] and of `make`; [`SessionError::BadArgument`] for a policy that is not asked at every step, and for disturbances, which are
-/// the expert's.
+/// Those of [`record`] and of `make`; [`SessionError::BadArgument`] for a policy that is not asked
+/// at every step, and for disturbances, which are the expert's.
 pub fn record_with(
     plan: &Plan,
     options: &RecordOptions,
@@ -446,8 +452,8 @@ impl StoredDepth {
     }
 }
 
-/// The job of one thread: the demonstration of `first + index`, shown on `page` if no other is; none if it was abandoned because `stop` said
-/// so.
+/// The job of one thread: the demonstration of `first + index`, shown on `page` if no other is;
+/// none if it was abandoned because `stop` said so.
 fn demonstrator<'a>(
     plan: &'a Plan,
     first: u64,

@@ -18,7 +18,8 @@ use crate::session::{Plan, PolicyChoice, SessionError};
 /// By how much longer a disturbed demonstration may take than the task allows.
 pub const DISTURBED_TIME_FACTOR: u32 = 2;
 
-/// Everything that decides what a recording's episodes are: one that goes on must have it all alike, but for the version.
+/// Everything that decides what a recording's episodes are: one that goes on must have it all
+/// alike, but for the version.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct OptionsNote<'a> {
     trocar: &'static str,
@@ -34,8 +35,8 @@ struct OptionsNote<'a> {
     patient: Option<&'a PatientPlacement>,
     varied: &'a [Variation],
     disturb: Option<f64>,
-    /// `teleop` if a person did them, `intervention` if one took over from a policy, `simulated-operator`, `policy` if it was the caller's; none of
-    /// the expert's.
+    /// `teleop` if a person did them, `intervention` if one took over from a policy,
+    /// `simulated-operator`, `policy` if it was the caller's; none of the expert's.
     source: Option<&'static str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     operator_delay_ms: Option<u64>,
@@ -185,7 +186,8 @@ fn policy(plan: &Plan) -> Option<String> {
     policy.map(PolicyChoice::name)
 }
 
-/// What is said of the recording as a whole, the task's name among it; nothing if it is of the plain kind.
+/// What is said of the recording as a whole, the task's name among it; nothing if it is of the
+/// plain kind.
 pub(super) fn recording_note(
     plan: &Plan,
     options: &RecordOptions,

@@ -1,4 +1,5 @@
-//! What a page of the console sees of a recording by the expert: how far it is, and one of the episodes that go on.
+//! What a page of the console sees of a recording by the expert: how far it is, and one of the
+//! episodes that go on.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,4 +1,5 @@
-//! How a recording begins: in a new folder, or behind the last episode of one that was made with the same options.
+//! How a recording begins: in a new folder, or behind the last episode of one that was made with
+//! the same options.
 
 use serde_json::Value;
 use trocar_data::dataset::{DatasetSpec, DatasetWriter, Notes, Totals};
@@ -16,7 +17,8 @@ pub(super) struct Found {
     pub(super) attempts: u64,
 }
 
-/// Looks at the folder, which must be a new one, or that of a recording that can be resumed; changes nothing in a dataset.
+/// Looks at the folder, which must be a new one, or that of a recording that can be resumed;
+/// changes nothing in a dataset.
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] if it is another.
@@ -42,8 +44,8 @@ pub(super) fn look(plan: &Plan, options: &RecordOptions) -> Result<Found, Sessio
 /// Opens the dataset, new or to go on with, behind what was `found` there.
 ///
 /// # Errors
-/// Those of [`DatasetWriter::create_with`] and [`DatasetWriter::resume`]; [`SessionError::BadArgument`] if the dataset has changed
-/// since.
+/// Those of [`DatasetWriter::create_with`] and [`DatasetWriter::resume`];
+/// [`SessionError::BadArgument`] if the dataset has changed since.
 pub(super) fn begin(
     plan: &Plan,
     options: &RecordOptions,

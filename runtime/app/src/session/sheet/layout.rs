@@ -1,4 +1,5 @@
-//! Where on the sheet everything goes: a block a task, a row a camera, colour, depth and ids beside each other.
+//! Where on the sheet everything goes: a block a task, a row a camera, colour, depth and ids beside
+//! each other.
 
 use hal::count::{count_u32, index};
 use image::{Rgb, RgbImage, imageops};

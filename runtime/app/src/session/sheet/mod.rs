@@ -1,4 +1,5 @@
-//! A contact sheet: what every camera of every task sees in the middle of an expert's episode, in colour, depth and ids.
+//! A contact sheet: what every camera of every task sees in the middle of an expert's episode, in
+//! colour, depth and ids.
 
 mod font;
 mod layout;
@@ -26,7 +27,8 @@ use plates::Plates;
 pub struct SheetOptions {
     /// The tasks, in order: names or paths of folders.
     pub tasks: Vec<String>,
-    /// Their needle and view, and the scene file if it is one task. The needle goes to the tasks that have a choice.
+    /// Their needle and view, and the scene file if it is one task. The needle goes to the tasks
+    /// that have a choice.
     pub scene: SceneOptions,
     /// The file, a PNG.
     pub out: PathBuf,
@@ -43,8 +45,8 @@ pub struct SheetOptions {
 /// Draws the sheet and writes it; `on_task` hears of each task when it is done.
 ///
 /// # Errors
-/// From the tasks, the simulation and the file; [`SessionError::BadArgument`] for a task that is named twice, a needle that
-/// goes to none, and a scene file for several tasks.
+/// From the tasks, the simulation and the file; [`SessionError::BadArgument`] for a task that is
+/// named twice, a needle that goes to none, and a scene file for several tasks.
 pub fn write(options: &SheetOptions, on_task: &mut dyn FnMut(&str)) -> Result<(), SessionError> {
     let setups = setups(options)?;
     let mut blocks = Vec::with_capacity(setups.len());

@@ -87,7 +87,8 @@ fn shade(share: f32) -> Rgb<u8> {
     Rgb(mixed)
 }
 
-/// A colour for an instance id, black for the background. Ids that no part has get hues a golden section apart.
+/// A colour for an instance id, black for the background. Ids that no part has get hues a golden
+/// section apart.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,

@@ -1,9 +1,12 @@
-//! Whether a hand is held as its instrument points, which it must be to engage: as on the dVRK, whose masters align with the instrument
-//! before they move it. What is left of the angle at a clutch-in stays a constant offset, so that nothing jumps.
+//! Whether a hand is held as its instrument points, which it must be to engage: as on the dVRK,
+//! whose masters align with the instrument before they move it. What is left of the angle at a
+//! clutch-in stays a constant offset, so that nothing jumps.
 //!
-//! A controller's handle, thumb end first (-z of WebXR's grip pose), stands for the instrument's axis, and the grip's x for the hinge of its
-//! jaw. The jaw looks alike after half a turn about its axis, so that either way round is aligned. Devices that say only by how much
-//! they turn (keyboard, gamepad, mouse, SpaceMouse) have no orientation of their own: they are always aligned.
+//! A controller's handle, thumb end first (-z of WebXR's grip pose), stands for the instrument's
+//! axis, and the grip's x for the hinge of its jaw. The jaw looks alike after half a turn about its
+//! axis, so that either way round is aligned. Devices that say only by how much they turn
+//! (keyboard, gamepad, mouse, SpaceMouse) have no orientation of their own: they are always
+//! aligned.
 
 use core::f64::consts::PI;
 use core::ops::RangeInclusive;
@@ -13,14 +16,15 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::message::Hand;
 
-/// By how much a hand may be held otherwise than its instrument and engage, unless the operator chooses another bound, degrees.
+/// By how much a hand may be held otherwise than its instrument and engage, unless the operator
+/// chooses another bound, degrees.
 pub const DEFAULT_ALIGN_DEG: f64 = 30.0;
 
 /// Which bounds can be chosen, degrees. At 180 any orientation engages.
 pub const ALIGNS_DEG: RangeInclusive<f64> = 5.0..=180.0;
 
-/// The angle between how `hand` is held and how the instrument with its tip at `tip_in_view` points, in the picture's axes, degrees, 0 to 180;
-/// none if there is nothing to align.
+/// The angle between how `hand` is held and how the instrument with its tip at `tip_in_view`
+/// points, in the picture's axes, degrees, 0 to 180; none if there is nothing to align.
 pub(super) fn misaligned_deg(hand: &Hand, tip_in_view: &Pose) -> Option<f64> {
     let held = hand.pose.rotation * tip_in_grip();
     let half_a_turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), PI);
@@ -29,7 +33,8 @@ pub(super) fn misaligned_deg(hand: &Hand, tip_in_view: &Pose) -> Option<f64> {
         .then(|| angle(held).min(angle(held * half_a_turn)))
 }
 
-/// The axes of an instrument's tip (x along the hinge, z along the closed fingers) in those of a controller's grip.
+/// The axes of an instrument's tip (x along the hinge, z along the closed fingers) in those of a
+/// controller's grip.
 fn tip_in_grip() -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI)
 }
@@ -47,7 +52,8 @@ mod tests {
         }
     }
 
-    /// An instrument that points away from the viewer, its hinge to the right, is held as a controller that points ahead.
+    /// An instrument that points away from the viewer, its hinge to the right, is held as a
+    /// controller that points ahead.
     #[test]
     fn a_controller_stands_for_its_instrument() {
         let ahead = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);

@@ -91,7 +91,8 @@ impl Demonstrating {
         self.so_far.ended.is_some()
     }
 
-    /// A policy step, if it is under way: the measured arms, and where whoever drives wants their tips.
+    /// A policy step, if it is under way: the measured arms, and where whoever drives wants their
+    /// tips.
     pub(crate) fn note(
         &mut self,
         arms: &PerArm<ArmObservation>,

@@ -1,4 +1,5 @@
-//! The operator's hands as the console's thread hears of them and the source of chunks looks at them.
+//! The operator's hands as the console's thread hears of them and the source of chunks looks at
+//! them.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -61,7 +62,8 @@ impl Hands {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// From now on `arms` arms are moved by hand. What was counted is forgotten, and a new clutch is needed.
+    /// From now on `arms` arms are moved by hand. What was counted is forgotten, and a new clutch
+    /// is needed.
     pub(crate) fn begin(&self, arms: usize, waits: bool) {
         let mut inner = self.lock();
         inner.lose(ReleaseCause::NoEpisode);
@@ -73,7 +75,8 @@ impl Hands {
         inner.counts = Counts::default();
     }
 
-    /// There is a policy beside the hands; until an episode that waits is started, the hands hold the arms.
+    /// There is a policy beside the hands; until an episode that waits is started, the hands hold
+    /// the arms.
     pub(super) fn beside_policy(&self) {
         let mut inner = self.lock();
         inner.driver = Some(if inner.waits {
@@ -83,7 +86,8 @@ impl Hands {
         });
     }
 
-    /// Who drives a run with a policy, now that a hand `moves` its arm or none does: one that does takes over.
+    /// Who drives a run with a policy, now that a hand `moves` its arm or none does: one that does
+    /// takes over.
     pub(super) fn driver(&self, moves: bool) -> Option<Driver> {
         let mut inner = self.lock();
         // Whoever has just handed back holds no clutch.
@@ -100,7 +104,8 @@ impl Hands {
         self.lock().waits
     }
 
-    /// The hands have driven for so long beside a policy, s; not counted before the episode's start. Whether it was.
+    /// The hands have driven for so long beside a policy, s; not counted before the episode's
+    /// start. Whether it was.
     pub(super) fn drove_s(&self, seconds: f64) -> bool {
         let mut inner = self.lock();
         let counts = !inner.waits;
@@ -113,7 +118,8 @@ impl Hands {
     /// The page that steers gives the arms back to the policy.
     ///
     /// # Errors
-    /// [`HandsMessageError::NoPolicy`] if there is none, [`HandsMessageError::NotNow`] before the episode is started.
+    /// [`HandsMessageError::NoPolicy`] if there is none, [`HandsMessageError::NotNow`] before the
+    /// episode is started.
     pub(crate) fn hand_back(&self) -> Result<(), HandsMessageError> {
         let mut inner = self.lock();
         let driver = inner.driver.ok_or(HandsMessageError::NoPolicy)?;
@@ -273,7 +279,8 @@ impl Hands {
         self.lock().counts.command.record(latency_ns);
     }
 
-    /// Where the tip of an arm is commanded to be in the picture's axes, and how far its jaw is closed.
+    /// Where the tip of an arm is commanded to be in the picture's axes, and how far its jaw is
+    /// closed.
     pub(super) fn show(&self, arm: usize, tip_in_view: &Pose, closed: f64) {
         if let Some(tip) = self.lock().tips.get_mut(arm) {
             *tip = Some((*tip_in_view, closed));
@@ -283,7 +290,8 @@ impl Hands {
     /// A command on the episode, of the page in control.
     ///
     /// # Errors
-    /// [`HandsMessageError::NoRecording`] if nothing is recorded, [`HandsMessageError::NotNow`] if it does not apply.
+    /// [`HandsMessageError::NoRecording`] if nothing is recorded, [`HandsMessageError::NotNow`] if
+    /// it does not apply.
     pub(crate) fn wish(&self, wish: EpisodeCommand) -> Result<(), HandsMessageError> {
         if self.mark_by(wish) {
             return Ok(());
@@ -302,10 +310,12 @@ impl Hands {
         Ok(())
     }
 
-    /// The demonstration under way is called `text` in the dataset, or the run that asks for a mark in its log.
+    /// The demonstration under way is called `text` in the dataset, or the run that asks for a mark
+    /// in its log.
     ///
     /// # Errors
-    /// [`HandsMessageError::Label`] if `text` is none, [`HandsMessageError::NoRecording`] if nothing is recorded.
+    /// [`HandsMessageError::Label`] if `text` is none, [`HandsMessageError::NoRecording`] if
+    /// nothing is recorded.
     pub(crate) fn set_label(&self, text: &str) -> Result<(), HandsMessageError> {
         let label = label(text)?;
         let mut inner = self.lock();

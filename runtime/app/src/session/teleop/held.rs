@@ -58,7 +58,8 @@ pub(super) struct Held {
 pub(super) struct ArmHand {
     pub(super) clutch: Clutch,
     pub(super) hand: Option<Hand>,
-    /// By how much it is held otherwise than its instrument points, degrees, if that keeps it from engaging.
+    /// By how much it is held otherwise than its instrument points, degrees, if that keeps it from
+    /// engaging.
     pub(super) misaligned_deg: Option<f64>,
 }
 
@@ -141,7 +142,8 @@ impl Held {
         }
     }
 
-    /// What the `hand` of an arm does with its clutch, and the angle that keeps it from engaging, degrees.
+    /// What the `hand` of an arm does with its clutch, and the angle that keeps it from engaging,
+    /// degrees.
     fn grip(&self, arm: usize, hand: &Hand) -> (Grip, Option<f64>) {
         if !hand.clutch {
             return (Grip::Open, None);

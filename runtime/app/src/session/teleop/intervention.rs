@@ -30,8 +30,8 @@ pub(crate) struct Intervention {
     to: Producer<TeleopCommand>,
     /// Who drives, as the control thread was last sent.
     said: Driver,
-    /// Whether the control thread has heard who drives since the episode's start: before it, the hands hold the arms, which is nobody's
-    /// driving.
+    /// Whether the control thread has heard who drives since the episode's start: before it, the
+    /// hands hold the arms, which is nobody's driving.
     begun: bool,
     /// What the episode may still take longer because of the hands, s.
     left_s: f64,
@@ -39,8 +39,9 @@ pub(crate) struct Intervention {
 }
 
 impl Intervention {
-    /// Of arms that see the view at `rcms_from_view`, whose policy drives, unless the episode `waits` for its start: till then the hands hold
-    /// the arms. An episode of `limit_s` may take longer by what the hands drive, up to a factor of [`TIME_FACTOR`].
+    /// Of arms that see the view at `rcms_from_view`, whose policy drives, unless the episode
+    /// `waits` for its start: till then the hands hold the arms. An episode of `limit_s` may take
+    /// longer by what the hands drive, up to a factor of [`TIME_FACTOR`].
     pub(crate) fn new(
         rcms_from_view: &[Pose],
         hands: &Arc<Hands>,
@@ -65,8 +66,8 @@ impl Intervention {
         self.teleop.release();
     }
 
-    /// Looks at the hands, with the arms measured as `seen`, and tells the control thread what they want. Gives the time that the episode
-    /// may take longer since they drive, s.
+    /// Looks at the hands, with the arms measured as `seen`, and tells the control thread what they
+    /// want. Gives the time that the episode may take longer since they drive, s.
     ///
     /// # Errors
     /// Those of [`Teleop::answer`].
@@ -108,8 +109,8 @@ impl Intervention {
         more_s
     }
 
-    /// Who asked the arms last, as the control thread has it, and where they were asked to be; none before the first command since the
-    /// episode's start.
+    /// Who asked the arms last, as the control thread has it, and where they were asked to be; none
+    /// before the first command since the episode's start.
     pub(crate) fn asked(&self) -> Option<(Driver, PerArm<TipTarget>)> {
         self.teleop.asked().filter(|_| self.begun)
     }

@@ -6,10 +6,12 @@ use serde::Serialize;
 use crate::histogram::Histogram;
 use crate::session::summary::LatencyMs;
 
-/// A page's clock may go this much slower than ours without its messages seeming old, as a part: crystals are better.
+/// A page's clock may go this much slower than ours without its messages seeming old, as a part:
+/// crystals are better.
 const DRIFT: f64 = 2e-4;
 
-/// How old a page's messages are when they arrive, beyond the quickest of them: its clock has another origin than ours.
+/// How old a page's messages are when they arrive, beyond the quickest of them: its clock has
+/// another origin than ours.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Transit {
     /// The least of arrival minus the page's time, ms, and when it was the least, ms.
@@ -17,7 +19,8 @@ pub(super) struct Transit {
 }
 
 impl Transit {
-    /// How much longer than the quickest a message of `t_ms` was on its way that arrived at `now`, ns.
+    /// How much longer than the quickest a message of `t_ms` was on its way that arrived at `now`,
+    /// ns.
     pub(super) fn excess_ns(&mut self, t_ms: f64, now: TimeNs) -> u64 {
         let now_ms = now.seconds() * 1e3;
         let offset = now_ms - t_ms;
@@ -44,7 +47,8 @@ fn to_ns(ms: f64) -> u64 {
 /// What is counted of a run that is moved by hand.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Counts {
-    /// From a message's arrival to the first command that follows it, with what it was late by on its way.
+    /// From a message's arrival to the first command that follows it, with what it was late by on
+    /// its way.
     pub(super) command: Histogram,
     /// From a picture's instant to the page's word that it is shown.
     pub(super) picture: Histogram,
@@ -77,12 +81,14 @@ pub enum HandDevice {
 /// What a run that is moved by hand reports beside the rest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TeleopSummary {
-    /// From the page's message of a hand to the first command that follows it: half the shortest round trip to the page, what the
-    /// message was late by against the quickest, and the way from its arrival to the tick. Absent if no hand was ever followed.
+    /// From the page's message of a hand to the first command that follows it: half the shortest
+    /// round trip to the page, what the message was late by against the quickest, and the way from
+    /// its arrival to the tick. Absent if no hand was ever followed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hand_to_command_ms: Option<LatencyMs>,
-    /// From a picture's instant to its showing on the page that steers: what the page says of every fifth picture after the browser's
-    /// next frame began, or once it is uploaded in a headset's frame, less half the shortest round trip. Absent if none was shown.
+    /// From a picture's instant to its showing on the page that steers: what the page says of every
+    /// fifth picture after the browser's next frame began, or once it is uploaded in a headset's
+    /// frame, less half the shortest round trip. Absent if none was shown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera_to_page_ms: Option<FrameAgeMs>,
     /// The shortest way to the page and back, ms, if it was measured.

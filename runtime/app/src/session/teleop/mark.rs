@@ -1,4 +1,5 @@
-//! What a person says of a run that no task judges: how it went, and a label. It moves nothing and ends nothing.
+//! What a person says of a run that no task judges: how it went, and a label. It moves nothing and
+//! ends nothing.
 
 use trocar_log::{RunMark, RunNote};
 
@@ -21,10 +22,12 @@ impl Hands {
         self.say(mark, None)
     }
 
-    /// The run went so, or that is not said any more; it is called `text` from now on, if that is given.
+    /// The run went so, or that is not said any more; it is called `text` from now on, if that is
+    /// given.
     ///
     /// # Errors
-    /// [`HandsMessageError::NoMark`] if the run does not ask for it, [`HandsMessageError::Label`] if `text` is none; nothing is marked then.
+    /// [`HandsMessageError::NoMark`] if the run does not ask for it, [`HandsMessageError::Label`]
+    /// if `text` is none; nothing is marked then.
     pub(crate) fn say(
         &self,
         mark: Option<RunMark>,
@@ -42,7 +45,8 @@ impl Hands {
         Ok(())
     }
 
-    /// Marks the run as a device at the robot's computer does that keeps or discards a demonstration; whether it asks for a mark.
+    /// Marks the run as a device at the robot's computer does that keeps or discards a
+    /// demonstration; whether it asks for a mark.
     pub(super) fn mark_by(&self, wish: EpisodeCommand) -> bool {
         let mark = match wish {
             EpisodeCommand::Keep => RunMark::Success,

@@ -33,7 +33,8 @@ pub(super) struct HandMessage {
     pub(super) at: [f64; 3],
     /// Rotation in the picture's axes, unit quaternion x, y, z, w.
     pub(super) turn: [f64; 4],
-    /// Whether `turn` is how a tracked controller is held: its grip pose. Otherwise only what it changes by counts.
+    /// Whether `turn` is how a tracked controller is held: its grip pose. Otherwise only what it
+    /// changes by counts.
     #[serde(default)]
     pub(super) tracked: bool,
     /// How far the trigger is pressed, 0 to 1: 1 closes the jaw.

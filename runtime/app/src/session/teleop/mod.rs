@@ -1,4 +1,5 @@
-//! Teleoperation: an operator's hands, which a page of the console or devices here (`desk`) tell of, as a source of chunks like any policy.
+//! Teleoperation: an operator's hands, which a page of the console or devices here (`desk`) tell
+//! of, as a source of chunks like any policy.
 //!
 //! ```text
 //!  page ── hands, 125 a second ─> console's thread: `message` checks, `Hands` holds the newest and each arm's `Clutch`
@@ -6,17 +7,20 @@
 //!  control thread ── newest command (mailbox) ──> `Teleop`: chunk ──> gate, filter, smoother, guard
 //! ```
 //!
-//! A hand moves its arm only while it holds the clutch. At each clutch-in, position and orientation start from what the arm is commanded
-//! to be at, so nothing jumps; a controller engages once it is held as its
-//! instrument points (`alignment`). Hands without input for [`STALE_NS`], a page that goes, is hidden or loses the right to steer, and
-//! anything that makes no sense release the clutch by force (`ReleaseCause`): then the arm holds until the operator has let the clutch go and
-//! takes it again.
+//! A hand moves its arm only while it holds the clutch. At each clutch-in, position and orientation
+//! start from what the arm is commanded to be at, so nothing jumps; a controller engages once it is
+//! held as its instrument points (`alignment`). Hands without input for [`STALE_NS`], a page that
+//! goes, is hidden or loses the right to steer, and anything that makes no sense release the clutch
+//! by force (`ReleaseCause`): then the arm holds until the operator has let the clutch go and takes
+//! it again.
 //!
-//! **Intervention.** Beside a policy the hands drive nothing until one of them takes its clutch: then they drive all arms, from where
-//! those are, until the operator hands back (`Intervention`). Whatever is lost meanwhile, the arms hold: the policy drives again
-//! when a person says so, and with chunks alone that it makes of what it sees from then on.
+//! **Intervention.** Beside a policy the hands drive nothing until one of them takes its clutch:
+//! then they drive all arms, from where those are, until the operator hands back (`Intervention`).
+//! Whatever is lost meanwhile, the arms hold: the policy drives again when a person says so, and
+//! with chunks alone that it makes of what it sees from then on.
 //!
-//! **Frame.** A hand moves in the axes of the endoscope's picture, of a robot without a task in those that were configured: x to the right, y up, z towards the viewer (those of WebXR, whose
+//! **Frame.** A hand moves in the axes of the endoscope's picture, of a robot without a task in
+//! those that were configured: x to the right, y up, z towards the viewer (those of WebXR, whose
 //! viewer looks along -z). What one sees moves and turns the way the hand does.
 
 mod alignment;
@@ -73,7 +77,8 @@ pub(crate) const CHUNK_TICKS: u64 = 8;
 /// What the controller last commanded of the arms. Plain data, which the control thread hands over.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Commanded {
-    /// The newest chunk that the controller was given, and the time of the tick that it was given to.
+    /// The newest chunk that the controller was given, and the time of the tick that it was given
+    /// to.
     pub(crate) sequence: u64,
     pub(crate) at: TimeNs,
     /// Whose chunks the controller is given.
@@ -101,7 +106,8 @@ impl Given {
 }
 
 impl Commanded {
-    /// What the controller commands after the tick of `record`; `given` is what it was given till then.
+    /// What the controller commands after the tick of `record`; `given` is what it was given till
+    /// then.
     pub(crate) fn after(record: &TickRecord, given: &mut Given) -> Self {
         if let Some(sequence) = record.arms.first.chunk_sequence {
             (given.sequence, given.at) = (sequence, record.now);

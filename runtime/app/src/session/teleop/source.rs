@@ -1,4 +1,5 @@
-//! Hands to chunks: where the tips should be, from what the arms were commanded to be at when the hands took the clutch.
+//! Hands to chunks: where the tips should be, from what the arms were commanded to be at when the
+//! hands took the clutch.
 
 use std::sync::Arc;
 
@@ -12,20 +13,22 @@ use super::{ArmCommanded, Commanded, Driver};
 use crate::session::SessionError;
 use crate::session::source::STEP_NS;
 
-/// Angle between the jaw fingers with the trigger let go, and pressed, rad. The latter is below contact: it presses.
+/// Angle between the jaw fingers with the trigger let go, and pressed, rad. The latter is below
+/// contact: it presses.
 pub(super) const JAW_OPEN_RAD: f64 = 0.7;
 pub(super) const JAW_CLOSED_RAD: f64 = -0.15;
 
 /// A trigger takes the jaw over where it meets it this closely, rad.
 const JAW_MEETS_RAD: f64 = 0.06;
 
-/// How far a target is from the commanded tip at most. What a hand goes beyond that is forgotten, so that an arm never goes on for longer
-/// than this after its hand stops.
+/// How far a target is from the commanded tip at most. What a hand goes beyond that is forgotten,
+/// so that an arm never goes on for longer than this after its hand stops.
 const LEASH_M: f64 = 0.012;
 const LEASH_RAD: f64 = 0.4;
 
-/// An arm that is released goes on for its velocity times this, s: the inverse of the tracking's gain, so that its velocity begins to
-/// fall from where it is, and the tip comes to rest without turning back.
+/// An arm that is released goes on for its velocity times this, s: the inverse of the tracking's
+/// gain, so that its velocity begins to fall from where it is, and the tip comes to rest without
+/// turning back.
 const STOP_S: f64 = 0.05;
 
 /// Chunks whose way to the controller is measured at a time.
@@ -73,8 +76,8 @@ struct Anchor {
 }
 
 impl Teleop {
-    /// The source for arms of which each sees the view at that pose of `rcms_from_view`, which `hands` move. With `waits`, they move nothing
-    /// before the episode is started.
+    /// The source for arms of which each sees the view at that pose of `rcms_from_view`, which
+    /// `hands` move. With `waits`, they move nothing before the episode is started.
     pub(crate) fn new(rcms_from_view: &[Pose], hands: Arc<Hands>, waits: bool) -> Self {
         let arms = rcms_from_view.iter().map(|view| HandledArm {
             rcm_from_view: *view,
@@ -104,7 +107,8 @@ impl Teleop {
         }
     }
 
-    /// The hands drive nothing: when one takes its clutch, its arm goes on from where it is commanded to be then.
+    /// The hands drive nothing: when one takes its clutch, its arm goes on from where it is
+    /// commanded to be then.
     pub(super) fn stand_by(&mut self) {
         for arm in &mut self.arms {
             (arm.engaged, arm.held) = (None, None);
@@ -116,7 +120,8 @@ impl Teleop {
         self.arms.iter().any(|arm| arm.engaged.is_some())
     }
 
-    /// Who asked the arms last, and where they were asked to be, or are commanded to be if they were not; none before the first command.
+    /// Who asked the arms last, and where they were asked to be, or are commanded to be if they
+    /// were not; none before the first command.
     pub(super) fn asked(&self) -> Option<(Driver, PerArm<TipTarget>)> {
         let commanded = self.commanded.as_ref()?;
         let targets = commanded.arms.map(|arm| {
@@ -126,7 +131,8 @@ impl Teleop {
         Some((commanded.driver, targets))
     }
 
-    /// A target for each arm, for the arms measured as `seen` at its stamp; it holds for two policy steps.
+    /// A target for each arm, for the arms measured as `seen` at its stamp; it holds for two policy
+    /// steps.
     ///
     /// # Errors
     /// [`SessionError::BadArgument`] if there are other arms than the task has.
@@ -267,7 +273,8 @@ impl HandledArm {
         (tip, anchor.jaw)
     }
 
-    /// Where the arm holds: where it stops as its hand lets go, or is as long as it follows nothing.
+    /// Where the arm holds: where it stops as its hand lets go, or is as long as it follows
+    /// nothing.
     fn hold(&mut self, commanded: &ArmCommanded) -> (Pose, f64) {
         let released = self.engaged.take();
         let stale = released.is_some() || !commanded.follows;
@@ -295,8 +302,8 @@ impl Anchor {
         )
     }
 
-    /// The jaw stays as it is until the trigger has met it: a needle is not dropped because the hand took the clutch with its trigger
-    /// let go.
+    /// The jaw stays as it is until the trigger has met it: a needle is not dropped because the
+    /// hand took the clutch with its trigger let go.
     fn follow_trigger(&mut self, asked: f64) {
         let meets = (asked - self.jaw).abs() < JAW_MEETS_RAD;
         let passes = (self.asked - self.jaw) * (asked - self.jaw) < 0.0;

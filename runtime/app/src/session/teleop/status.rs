@@ -30,9 +30,11 @@ pub(super) struct ArmStatus {
     pub(super) engaged: bool,
     /// Why it was released by force, if it was.
     pub(super) lost: Option<String>,
-    /// By how much the hand, which holds the clutch, is held otherwise than its instrument points, degrees, if that keeps it from engaging.
+    /// By how much the hand, which holds the clutch, is held otherwise than its instrument points,
+    /// degrees, if that keeps it from engaging.
     pub(super) misaligned_deg: Option<f64>,
-    /// Where the tip is commanded to be, in the picture's axes from the lens, m, and as a unit quaternion x, y, z, w.
+    /// Where the tip is commanded to be, in the picture's axes from the lens, m, and as a unit
+    /// quaternion x, y, z, w.
     pub(super) tip: Option<[f64; 7]>,
     /// How far the jaw is closed, 0 to 1 as the trigger says it.
     pub(super) jaw: f64,

@@ -177,8 +177,8 @@ const HELD: At = At {
     ..REST
 };
 
-/// Wherever the hand is and however it is turned as it takes the clutch, the target is where the arm is; only what the hand does from then
-/// on counts, in the picture's axes and to scale.
+/// Wherever the hand is and however it is turned as it takes the clutch, the target is where the
+/// arm is; only what the hand does from then on counts, in the picture's axes and to scale.
 #[test]
 fn engaging_moves_nothing_and_motion_is_relative() {
     let mut bench = Bench::new(false);
@@ -197,7 +197,8 @@ fn engaging_moves_nothing_and_motion_is_relative() {
     let step = target.tip_in_rcm().translation.vector - tip.tip_in_rcm().translation.vector;
     let expected = axes * Vector3::x() * 0.02 * DEFAULT_SCALE;
     assert!((step - expected).norm() < 1e-9, "{step} {expected}");
-    // A turn of the hand about the view's z, from however it was turned, is one of the tip about the same axis.
+    // A turn of the hand about the view's z, from however it was turned, is one of the tip about
+    // the same axis.
     let turn = UnitQuaternion::from_scaled_axis(Vector3::z() * 0.2);
     let turned = turn * UnitQuaternion::from_scaled_axis(Vector3::from(held.turn));
     moved.turn = turned.scaled_axis().into();
@@ -243,7 +244,8 @@ fn clutching_again_starts_from_the_arm() {
     assert!(near(&bench.hand(hand), &bench.tip()));
 }
 
-/// Each way to lose a hand: the arm holds, and goes on holding with the clutch held until it was let go.
+/// Each way to lose a hand: the arm holds, and goes on holding with the clutch held until it was
+/// let go.
 #[test]
 fn whatever_is_lost_holds_until_a_new_clutch() {
     type Loss = (&'static str, fn(&mut Bench));
@@ -340,7 +342,8 @@ fn a_clutch_that_was_taken_out_of_sight_moves_nothing() {
     }
 }
 
-/// Hands that go on coming late stay late; with a round trip that long, those that all come alike late are.
+/// Hands that go on coming late stay late; with a round trip that long, those that all come alike
+/// late are.
 #[test]
 fn hands_that_go_on_coming_late_move_nothing() {
     let mut bench = Bench::new(false);
@@ -377,7 +380,8 @@ fn an_episode_that_ends_forces_nothing() {
     assert_eq!(bench.hands.summary().forced_releases, 0);
 }
 
-/// The first thing that is heard of a hand is that it holds the clutch, as after a reload in mid-motion.
+/// The first thing that is heard of a hand is that it holds the clutch, as after a reload in
+/// mid-motion.
 #[test]
 fn a_hand_that_comes_with_its_clutch_held_moves_nothing() {
     let mut bench = Bench::new(false);
@@ -388,7 +392,8 @@ fn a_hand_that_comes_with_its_clutch_held_moves_nothing() {
     }
 }
 
-/// An arm that is released in motion gets a target ahead of it, towards which its velocity falls from what it is.
+/// An arm that is released in motion gets a target ahead of it, towards which its velocity falls
+/// from what it is.
 #[test]
 fn a_released_arm_stops_without_turning_back() {
     let mut bench = Bench::new(false);
@@ -404,7 +409,8 @@ fn a_released_arm_stops_without_turning_back() {
     assert!(near(&bench.hand(REST), &target));
 }
 
-/// A hand that runs ahead pulls the target no further than a leash; as soon as it turns back, so does the target.
+/// A hand that runs ahead pulls the target no further than a leash; as soon as it turns back, so
+/// does the target.
 #[test]
 fn an_arm_never_owes_more_than_the_leash() {
     let mut bench = Bench::new(false);
@@ -428,7 +434,8 @@ fn an_arm_never_owes_more_than_the_leash() {
     assert!((way(&target, &bench.tip()) - (0.012 - 0.01 * DEFAULT_SCALE)).abs() < 1e-6);
 }
 
-/// A jaw that holds something is not opened by a trigger that is let go as the clutch is taken; from where they meet it follows.
+/// A jaw that holds something is not opened by a trigger that is let go as the clutch is taken;
+/// from where they meet it follows.
 #[test]
 fn a_jaw_follows_from_where_the_trigger_meets_it() {
     let mut bench = Bench::new(false);
@@ -488,9 +495,10 @@ fn hands_move_nothing_outside_an_episode() {
     assert!(bench.holds());
 }
 
-/// Beside a policy the hands hold the arms until the episode's start, which is nobody's driving: no frame is by hand before the policy's
-/// first, however late the start is heard, by the hands' end or by the control thread. Later, too, a frame is that of whom the control
-/// thread follows, whose target it has.
+/// Beside a policy the hands hold the arms until the episode's start, which is nobody's driving: no
+/// frame is by hand before the policy's first, however late the start is heard, by the hands' end
+/// or by the control thread. Later, too, a frame is that of whom the control thread follows, whose
+/// target it has.
 #[test]
 fn who_drives_is_whom_the_control_thread_follows_since_the_start() {
     let mut bench = Bench::new(false);
@@ -562,7 +570,8 @@ fn wishes_apply_where_they_make_sense() {
     }
 }
 
-/// A run that no task judges is marked and labelled as often as one likes; its newest mark is told once.
+/// A run that no task judges is marked and labelled as often as one likes; its newest mark is told
+/// once.
 #[test]
 fn a_run_is_marked_if_it_asks() {
     let hands = Hands::new();

@@ -5,10 +5,11 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_render::look_at;
 use trocar_tasks::task::{CameraConfig, ENDOSCOPE, Mount, TaskConfig};
 
-/// Where the picture is, as an arm's base sees it: x to the right, y up, z towards the viewer, the origin at the lens. The small shift
-/// of a view that moves cameras by chance is not in it.
+/// Where the picture is, as an arm's base sees it: x to the right, y up, z towards the viewer, the
+/// origin at the lens. The small shift of a view that moves cameras by chance is not in it.
 ///
-/// The picture is the endoscope's, or that of the first other camera that stands in the scene; without any, the scene's own axes.
+/// The picture is the endoscope's, or that of the first other camera that stands in the scene;
+/// without any, the scene's own axes.
 pub(super) fn rcm_from_view(task: &TaskConfig, scene_from_rcm: &Pose) -> Pose {
     let camera = picture(task).and_then(|index| task.cameras.get(index));
     scene_from_rcm.inverse() * camera.map_or_else(Pose::identity, scene_from_view)

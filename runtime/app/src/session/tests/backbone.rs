@@ -1,4 +1,5 @@
-//! ACT with a backbone that was trained elsewhere: what is refused, and what a training leaves behind.
+//! ACT with a backbone that was trained elsewhere: what is refused, and what a training leaves
+//! behind.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,5 @@
-//! Recordings that are disturbed and varied: what is kept, what is said of it, and how often experts recover.
+//! Recordings that are disturbed and varied: what is kept, what is said of it, and how often
+//! experts recover.
 
 use serde_json::Value;
 use trocar_data::dataset::Notes;
@@ -126,8 +127,8 @@ fn plain_recording_stays_as_lerobot_knows_it() {
 }
 
 #[expect(clippy::print_stdout, reason = "figures of a long test")]
-/// How many of `seeds` the expert of `task` succeeds in, all disturbed, with the controller that a session has and without
-/// cameras.
+/// How many of `seeds` the expert of `task` succeeds in, all disturbed, with the controller that a
+/// session has and without cameras.
 fn successes(task: &str, seeds: std::ops::Range<u64>) -> usize {
     let mut setup = Setup::load(task, None, &PolicyChoice::Expert).unwrap();
     setup.task.time_limit_s *= f64::from(DISTURBED_TIME_FACTOR);

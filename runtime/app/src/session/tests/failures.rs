@@ -22,7 +22,8 @@ fn hasty_lift(time_limit_s: f64) -> Plan {
     plan
 }
 
-/// What fails is in a dataset of its own with its reasons; the other one has the bytes of a recording without.
+/// What fails is in a dataset of its own with its reasons; the other one has the bytes of a
+/// recording without.
 #[test]
 fn attempts_that_fail_are_kept_apart() {
     let folder = Scratch::new("session-failures");

@@ -32,7 +32,8 @@ fn train_on(data: &[PathBuf], out: &Path) -> Result<(), SessionError> {
     train(&options, &mut |_| {}).map(|_| ())
 }
 
-/// Two recordings of an episode train to the bytes of one recording of both, and the checkpoint says what it learned from.
+/// Two recordings of an episode train to the bytes of one recording of both, and the checkpoint
+/// says what it learned from.
 #[test]
 fn two_datasets_train_as_one_with_their_episodes() {
     let folder = Scratch::new("session-joined");

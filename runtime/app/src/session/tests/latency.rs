@@ -1,4 +1,5 @@
-//! Chunks that come late and unevenly: drawn by seed, told by the tally, and taken by the controller without harm.
+//! Chunks that come late and unevenly: drawn by seed, told by the tally, and taken by the
+//! controller without harm.
 
 use super::*;
 use crate::session::latency::Latency;

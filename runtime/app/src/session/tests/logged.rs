@@ -28,7 +28,8 @@ fn images(log: &Path, camera: &str) -> Vec<(u64, image::RgbImage)> {
     images
 }
 
-/// Every policy step from the first target on is a frame: states, tip targets and pictures are those of its tick.
+/// Every policy step from the first target on is a frame: states, tip targets and pictures are
+/// those of its tick.
 #[test]
 fn a_log_in_lockstep_becomes_the_steps_of_its_run() {
     let folder = Scratch::folder("session-logged");

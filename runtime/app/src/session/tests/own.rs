@@ -50,7 +50,8 @@ fn lift() -> Plan {
     plan
 }
 
-/// The action is what the policy wants of the arm as it is seen, and the dataset names the policy. It holds, and so fails.
+/// The action is what the policy wants of the arm as it is seen, and the dataset names the policy.
+/// It holds, and so fails.
 #[test]
 fn an_own_policy_is_recorded() {
     let folder = Scratch::new("session-own");

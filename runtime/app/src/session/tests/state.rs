@@ -1,4 +1,5 @@
-//! What a training's state says of how it was begun is checked as a command line is, whatever became of the file.
+//! What a training's state says of how it was begun is checked as a command line is, whatever
+//! became of the file.
 
 use tch::{Kind, Tensor};
 

@@ -33,8 +33,8 @@ pub(super) fn trainer(options: &TrainingOptions) -> Result<Trainer, SessionError
     }
 }
 
-/// How a policy is kept. One that LeRobot loads is whole, with what only training needs, and in single precision: half
-/// precision has no room for every variance.
+/// How a policy is kept. One that LeRobot loads is whole, with what only training needs, and in
+/// single precision: half precision has no room for every variance.
 pub(super) const fn kept(backbone: BackboneNorm) -> SaveOptions {
     match backbone {
         BackboneNorm::FrozenBatchNorm => SaveOptions {

@@ -25,7 +25,8 @@ const POINTS: usize = 1024;
 /// Times that DP3's published recipe sees every frame.
 const DP3_EPOCHS: usize = 3000;
 
-/// What `--augment` does to clouds: a depth camera's noise, a tenth of the points hidden, and the state as for images.
+/// What `--augment` does to clouds: a depth camera's noise, a tenth of the points hidden, and the
+/// state as for images.
 const CLOUD_AUGMENTATION: Augmentation = Augmentation {
     shift_px: 0,
     brightness: 0.0,

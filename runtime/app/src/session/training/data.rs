@@ -9,7 +9,8 @@ use crate::session::SessionError;
 /// The datasets, as the network sees them.
 ///
 /// # Errors
-/// [`SessionError::BadArgument`] of cameras that the first has not; those of [`Dataset::open_joined`].
+/// [`SessionError::BadArgument`] of cameras that the first has not; those of
+/// [`Dataset::open_joined`].
 pub(super) fn open(options: &TrainingOptions) -> Result<Dataset, SessionError> {
     let (data, choice) = (&options.data, &options.cameras);
     let chosen = match data.first() {

@@ -1,4 +1,5 @@
-//! Evaluation during a training: held-out trials with the weights as they are, and the best of these weights kept.
+//! Evaluation during a training: held-out trials with the weights as they are, and the best of
+//! these weights kept.
 
 #[cfg(test)]
 mod tests;
@@ -57,7 +58,8 @@ impl Evaluation {
     }
 }
 
-/// How an evaluation in progress stands: after which step, trials done, of how many, and their score.
+/// How an evaluation in progress stands: after which step, trials done, of how many, and their
+/// score.
 pub(super) type OnTrial<'a> = dyn FnMut(u64, usize, usize, Score) + 'a;
 
 /// The evaluations of a training.
@@ -116,8 +118,8 @@ impl Evaluations {
         (steps / every).saturating_sub(step / every) + last
     }
 
-    /// Evaluates the checkpoint that `save` writes into a folder, and keeps it if none was better before. Nothing is kept of an
-    /// evaluation that is interrupted.
+    /// Evaluates the checkpoint that `save` writes into a folder, and keeps it if none was better
+    /// before. Nothing is kept of an evaluation that is interrupted.
     pub(super) fn run(
         &mut self,
         step: u64,

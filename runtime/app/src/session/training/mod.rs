@@ -30,8 +30,8 @@ use super::cloud_file::cloud_recipe;
 use super::{SessionError, outputs};
 use crate::rt;
 
-/// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the small preset, so that a fresh
-/// one is there when the last ends.
+/// Policy steps from one query to the next that a trained checkpoint asks for: half a chunk of the
+/// small preset, so that a fresh one is there when the last ends.
 const QUERY_EVERY_STEPS: u32 = 25;
 
 /// What `--augment` does to images and states.
@@ -55,24 +55,26 @@ pub struct TrainingResult {
     pub validation_l1: Option<f64>,
     /// Time it took, s.
     pub seconds: f64,
-    /// Samples that went through a second, from the first row of the loss curve to the last, without evaluations; unknown of one
-    /// row.
+    /// Samples that went through a second, from the first row of the loss curve to the last,
+    /// without evaluations; unknown of one row.
     pub samples_per_second: Option<f64>,
     /// Evaluations along the way.
     pub evaluations: usize,
-    /// The best of them, whose weights are in the folder [`BEST`](evaluations::BEST) of the checkpoint's.
+    /// The best of them, whose weights are in the folder [`BEST`](evaluations::BEST) of the
+    /// checkpoint's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub best: Option<Evaluation>,
 }
 
-/// Trains, and writes the checkpoint, its loss curve (`loss.csv`), the same for TensorBoard, and if asked evaluations along the way
-/// (`evaluations.csv`) and the weights that did best in them (`best/`).
+/// Trains, and writes the checkpoint, its loss curve (`loss.csv`), the same for TensorBoard, and if
+/// asked evaluations along the way (`evaluations.csv`) and the weights that did best in them
+/// (`best/`).
 ///
 /// SIGINT, SIGTERM and SIGHUP make it keep its state and stop after the step at hand.
 ///
 /// # Errors
-/// [`SessionError::BadArgument`] if the checkpoint's folder is not empty or can't be written, before any work; from the
-/// dataset, the training or the file system; [`TrainError::Stopped`].
+/// [`SessionError::BadArgument`] if the checkpoint's folder is not empty or can't be written,
+/// before any work; from the dataset, the training or the file system; [`TrainError::Stopped`].
 pub fn train(
     options: &TrainingOptions,
     on_progress: &mut OnProgress<'_>,
@@ -129,11 +131,12 @@ pub(super) fn check(options: &TrainingOptions) -> Result<(), SessionError> {
     Ok(())
 }
 
-/// Goes on with the training whose state is in the checkpoint's folder `folder`, with the options that it was begun with.
+/// Goes on with the training whose state is in the checkpoint's folder `folder`, with the options
+/// that it was begun with.
 ///
 /// # Errors
-/// [`SessionError::BadArgument`] if there is no state; otherwise those of [`train`], and [`TrainError::State`] if the
-/// dataset is another one now.
+/// [`SessionError::BadArgument`] if there is no state; otherwise those of [`train`], and
+/// [`TrainError::State`] if the dataset is another one now.
 pub fn resume(
     folder: &Path,
     on_progress: &mut OnProgress<'_>,
@@ -294,7 +297,8 @@ fn parse_preset(name: &str) -> Result<ActPreset, SessionError> {
     }
 }
 
-/// Policy steps between queries: the user's number, which a chunk of `steps` must last for, or `usual`.
+/// Policy steps between queries: the user's number, which a chunk of `steps` must last for, or
+/// `usual`.
 pub(super) fn query_every(
     options: &TrainingOptions,
     usual: u32,

@@ -9,7 +9,8 @@ use trocar_nets::act::BackboneNorm;
 /// Which of the cameras the network sees, of several datasets' the first one's.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CameraChoice {
-    /// The dataset's first; of recordings with `--cameras single` or `multi` the one that the paper gives policies of a single camera.
+    /// The dataset's first; of recordings with `--cameras single` or `multi` the one that the paper
+    /// gives policies of a single camera.
     Single,
     /// All of them.
     Multi,
@@ -84,22 +85,26 @@ pub struct TrainingEval {
 pub struct TrainingOptions {
     /// The network.
     pub network: NetworkChoice,
-    /// The datasets' directories, at least one: their episodes are learned from as those of one dataset.
+    /// The datasets' directories, at least one: their episodes are learned from as those of one
+    /// dataset.
     #[serde(deserialize_with = "one_or_more")]
     pub data: Vec<PathBuf>,
     /// The checkpoint's directory; a new or an empty one.
     pub out: PathBuf,
     /// Which cameras the network sees.
     pub cameras: CameraChoice,
-    /// Sizes and recipe: `small`, `paper` or `lerobot`; of DP3, `paper` or `simple`; of ACT-PC, `small`,
-    /// `paper` or `pcm`.
+    /// Sizes and recipe: `small`, `paper` or `lerobot`; of DP3, `paper` or `simple`; of ACT-PC,
+    /// `small`, `paper` or `pcm`.
     pub preset: String,
-    /// Whether the recipe is the authors' own, which begins from an ImageNet backbone, instead of one that learns from scratch.
+    /// Whether the recipe is the authors' own, which begins from an ImageNet backbone, instead of
+    /// one that learns from scratch.
     pub published: bool,
-    /// Normalisation layers of ACT's backbone; in options from before there was a choice, group normalisation.
+    /// Normalisation layers of ACT's backbone; in options from before there was a choice, group
+    /// normalisation.
     #[serde(default = "group_norm")]
     pub backbone: BackboneNorm,
-    /// What a backbone with frozen batch normalisation starts from: a safetensors file or a policy's folder.
+    /// What a backbone with frozen batch normalisation starts from: a safetensors file or a
+    /// policy's folder.
     pub backbone_weights: Option<PathBuf>,
     /// Optimiser steps, if not the preset's.
     pub steps: Option<u64>,
@@ -114,9 +119,11 @@ pub struct TrainingOptions {
     pub episodes: Option<usize>,
     /// Share of the episodes held out for validation, the last ones of all datasets together.
     pub validation_share: f64,
-    /// Change what is trained on at random: shift and brighten images, move and hide points, disturb states.
+    /// Change what is trained on at random: shift and brighten images, move and hide points,
+    /// disturb states.
     pub augment: bool,
-    /// Policy steps from one query to the next that the checkpoint recommends, if not the network's usual number.
+    /// Policy steps from one query to the next that the checkpoint recommends, if not the network's
+    /// usual number.
     #[serde(default)]
     pub query_every: Option<u32>,
     /// Learning rate of everything but a backbone that was trained before, if not the recipe's.
@@ -139,7 +146,8 @@ pub struct TrainingOptions {
     pub threads: usize,
     /// Everything random depends on this.
     pub seed: u64,
-    /// Steps between two times that the state is kept, from which the training can go on; 0 is never.
+    /// Steps between two times that the state is kept, from which the training can go on; 0 is
+    /// never.
     pub save_every: u64,
     /// Evaluations along the way, if any.
     #[serde(default)]

@@ -21,7 +21,8 @@ pub struct TrainingStatus {
     pub steps: u64,
     /// Time since the start, s.
     pub seconds: f64,
-    /// What is minimised: of the last step, or the mean of those since the row of the loss curve before this one.
+    /// What is minimised: of the last step, or the mean of those since the row of the loss curve
+    /// before this one.
     pub loss: f64,
     /// The row of the loss curve, if this is one.
     pub row: Option<CurveRow>,
@@ -68,8 +69,8 @@ impl fmt::Display for TrainingStatus {
 
 /// Measures a training whose steps have `batch` samples.
 ///
-/// What comes before the first step (decoding) does not count, nor what is done aside, and once there are others, nor the first
-/// step, for which an accelerator looks for its best kernels.
+/// What comes before the first step (decoding) does not count, nor what is done aside, and once
+/// there are others, nor the first step, for which an accelerator looks for its best kernels.
 #[derive(Clone, Debug)]
 pub(super) struct Pace {
     batch: usize,

@@ -19,7 +19,8 @@ pub enum TrainingProgress<'a> {
         /// Time since the start, s.
         seconds: f64,
     },
-    /// Steps are being taken: sent after the first one, then about twice a second, and for every row of the loss curve.
+    /// Steps are being taken: sent after the first one, then about twice a second, and for every
+    /// row of the loss curve.
     Status(&'a TrainingStatus),
     /// The weights are being evaluated.
     Evaluating {

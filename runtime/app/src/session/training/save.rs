@@ -118,7 +118,8 @@ fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
     }
 }
 
-/// So many of the dataset's steps, of `step_ns` each, in the policy steps that a run asks its policy by: no more than they last, and no more of them.
+/// So many of the dataset's steps, of `step_ns` each, in the policy steps that a run asks its
+/// policy by: no more than they last, and no more of them.
 fn policy_steps(steps: u32, step_ns: u64) -> u32 {
     let whole = u64::from(steps) * step_ns / STEP_NS;
     u32::try_from(whole.max(1)).map_or(steps, |whole| whole.min(steps))

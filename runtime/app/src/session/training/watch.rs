@@ -1,4 +1,5 @@
-//! What goes on beside a training: what is said of it, how long it takes, and the state from which it can go on.
+//! What goes on beside a training: what is said of it, how long it takes, and the state from which
+//! it can go on.
 
 use std::path::Path;
 use std::{fs, io};
@@ -70,8 +71,8 @@ pub(super) fn remove_state(folder: &Path) -> Result<(), SessionError> {
 /// Time between two steps that are reported, s. A report waits for the device.
 const REPORT_EVERY_S: f64 = 0.5;
 
-/// Tells of a training, here and to TensorBoard, evaluates it, keeps its state in its folder, and stops it when the user asks for
-/// that.
+/// Tells of a training, here and to TensorBoard, evaluates it, keeps its state in its folder, and
+/// stops it when the user asks for that.
 pub(super) struct Watcher<'a> {
     saver: &'a Saver<'a>,
     pub(super) evaluations: Option<Evaluations>,

@@ -90,7 +90,8 @@ impl Runner<'_> {
     /// A verb has failed or was interrupted.
     fn not_done(&mut self, index: usize, begin: Begin, ended: &Ended) -> Result<(), StudyError> {
         let (cell, outcome) = (self.cells[index], &ended.outcome);
-        // A recording that failed at its job, as on a full disk, is kept; one that is refused is of no use.
+        // A recording that failed at its job, as on a full disk, is kept; one that is refused is of
+        // no use.
         let useless = match cell.job.kind() {
             Kind::Training => true,
             Kind::Recording => ended.code == Some(BAD_INPUT),

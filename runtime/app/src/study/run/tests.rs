@@ -26,8 +26,9 @@ const STUDY: &str = "title = \"One training\"\n\
     recordings = [\"plain\"]\ndemonstrations = [1]\ntraining_seeds = [1]\ntrials = 1\nfirst_seed = 1000\n\
     columns = \"network\"\n";
 
-/// What a study sees of its verbs. A training writes a line into its state each time that it is begun or resumed; where the file
-/// `hold` lies beside the script it then waits for SIGINT, otherwise the state becomes its weights.
+/// What a study sees of its verbs. A training writes a line into its state each time that it is
+/// begun or resumed; where the file `hold` lies beside the script it then waits for SIGINT,
+/// otherwise the state becomes its weights.
 const VERBS: &str = r#"#!/bin/sh
 verb=$1
 while [ $# -gt 0 ]; do
@@ -62,7 +63,8 @@ fn folder(name: &str) -> Scratch {
     let folder = Scratch::folder(&format!("run-{name}"));
     let (text, verbs) = (folder.join("verbs.txt"), folder.join("verbs"));
     fs::write(&text, VERBS).unwrap();
-    // Written by another process: a file that this one has open for writing, in any thread's child, can't be executed.
+    // Written by another process: a file that this one has open for writing, in any thread's child,
+    // can't be executed.
     let mut install = Command::new("install");
     let installed = install
         .args(["-m", "755"])
@@ -231,8 +233,8 @@ fn retraining_interrupted_at_once_starts_again() {
     whole.ends(0);
 }
 
-/// A study that keeps no recordings removes one's data when its last training is done, is done then, and makes it anew where a
-/// training lost its weights.
+/// A study that keeps no recordings removes one's data when its last training is done, is done
+/// then, and makes it anew where a training lost its weights.
 #[test]
 fn recordings_go_when_nothing_needs_them() {
     let folder = folder("dropped");

@@ -1,4 +1,5 @@
-//! Problems that are hard for the method: rows that repeat, nearly repeat, differ in size or meet in one point.
+//! Problems that are hard for the method: rows that repeat, nearly repeat, differ in size or meet
+//! in one point.
 
 use super::super::{ActiveSet, LinearRow, VARIABLES_MAX};
 use super::problem::{ARM, Problem, Recipe, at_rest, dot, vector};
@@ -20,7 +21,8 @@ fn distance(a: &[f64; VARIABLES_MAX], b: &[f64; VARIABLES_MAX]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Solves seeded problems, then once more with the rows that `more` makes of theirs: the answer stays within `tolerance`.
+/// Solves seeded problems, then once more with the rows that `more` makes of theirs: the answer
+/// stays within `tolerance`.
 fn stays(
     seed: u64,
     tolerance: f64,
@@ -150,8 +152,8 @@ fn rows_that_all_meet_in_one_point_do_not_cycle() {
     }
 }
 
-/// Two cones of a hundredth of the wanted motion used to take turns: each model dropped the cone that the last one held, and
-/// forgot its curvature.
+/// Two cones of a hundredth of the wanted motion used to take turns: each model dropped the cone
+/// that the last one held, and forgot its curvature.
 #[test]
 fn cones_much_tighter_than_the_motion_do_not_take_turns() {
     let mut random = SplitMix64::new(77);

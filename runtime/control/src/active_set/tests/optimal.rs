@@ -29,7 +29,8 @@ const TWO_ARMS_CONES: Recipe = Recipe {
     ..TWO_ARMS
 };
 
-/// Solves seeded problems of all sizes and shows each, with its seed and the solved solver, to `check`.
+/// Solves seeded problems of all sizes and shows each, with its seed and the solved solver, to
+/// `check`.
 fn each_problem(
     recipe: Recipe,
     seed: u64,
@@ -91,7 +92,8 @@ fn two_arms_with_cones_agree_with_clarabel() {
     agrees_with_clarabel(TWO_ARMS_CONES, 4);
 }
 
-/// How far the answer is from the optimality conditions, relative to the multipliers; and how many cones push.
+/// How far the answer is from the optimality conditions, relative to the multipliers; and how many
+/// cones push.
 fn residual<const N: usize>(
     problem: &Problem,
     method: &Method<N>,

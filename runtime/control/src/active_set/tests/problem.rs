@@ -102,7 +102,8 @@ impl Problem {
         }
     }
 
-    /// A problem of any size, all of whose variables act on each other, with three rows a variable and one cone.
+    /// A problem of any size, all of whose variables act on each other, with three rows a variable
+    /// and one cone.
     pub(super) fn of_size(random: &mut SplitMix64, variables: usize) -> Self {
         let nominal = vector(random, 0..variables);
         let mut hessian = [[0.0; VARIABLES_MAX]; VARIABLES_MAX];

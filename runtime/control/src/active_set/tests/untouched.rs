@@ -39,7 +39,8 @@ fn an_arm_that_no_active_row_touches_changes_by_exactly_zero() {
     let mut moved = 0;
     for case in 0..500 {
         let mut problem = Problem::random(&mut random, RECIPE);
-        // The second arm's own rows and the pair's allow its nominal velocity, whatever the first does.
+        // The second arm's own rows and the pair's allow its nominal velocity, whatever the first
+        // does.
         for row in &mut problem.rows {
             if row.coefficients[ARM..].iter().any(|entry| *entry != 0.0) {
                 row.bound = 1e3;

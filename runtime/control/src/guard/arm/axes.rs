@@ -18,7 +18,8 @@ const STEP_ROUNDING: f64 = 1e-12;
 const SHORTEST: f64 = 1e-9;
 
 impl ArmGuard {
-    /// Whether one tick of motion within the jerk limit leads from `current` to `candidate`. NaN is nowhere.
+    /// Whether one tick of motion within the jerk limit leads from `current` to `candidate`. NaN is
+    /// nowhere.
     pub(super) fn follows(&self, current: &MotionState, candidate: &MotionState) -> bool {
         let t = self.tick_s;
         self.axes.iter().enumerate().all(|(axis, limits)| {
@@ -28,7 +29,8 @@ impl ArmGuard {
                 current.acceleration[axis],
             );
             let jerk = limits.jerk * (1.0 + JERK_ROUNDING);
-            // What jerk would have to do, in units of what the highest one does in a tick, and rounding in the same units.
+            // What jerk would have to do, in units of what the highest one does in a tick, and
+            // rounding in the same units.
             let units = [jerk * t, jerk * t * t, jerk * t * t * t];
             let [x, y, z] = [
                 (candidate.acceleration[axis] - a) / units[0],
@@ -36,7 +38,8 @@ impl ArmGuard {
                 (candidate.position[axis] - p - v * t - a * t * t / 2.0) / units[2],
             ];
             let [x_off, y_off, z_off] = units.map(|unit| STEP_ROUNDING / unit);
-            // Between the two states as well, acceleration and velocity are within their limits on the whole.
+            // Between the two states as well, acceleration and velocity are within their limits on
+            // the whole.
             let gentle = limits.acceleration * t * (1.0 + ROUNDING) + STEP_ROUNDING;
             let slow = limits.velocity * t * (1.0 + ROUNDING) + STEP_ROUNDING;
             let a_follows = x.abs() <= 1.0 + x_off;
@@ -77,15 +80,16 @@ impl ArmGuard {
     }
 }
 
-/// How far a jerk `u` between -1 and 1 over a time of 1 can raise the velocity if it changes the acceleration by `x`: by
-/// being high first and low then.
+/// How far a jerk `u` between -1 and 1 over a time of 1 can raise the velocity if it changes the
+/// acceleration by `x`: by being high first and low then.
 fn highest_velocity(x: f64) -> f64 {
     let high = (1.0 + x.clamp(-1.0, 1.0)) / 2.0;
     high * (2.0 - high) - 0.5
 }
 
-/// How far it can then raise the position if it changes the velocity by `y` as well: by being low for one span `from..to`
-/// and high before and after, since what jerk does to the position, `(1 - s)^2 / 2`, is convex in the time `s` when it acts.
+/// How far it can then raise the position if it changes the velocity by `y` as well: by being low
+/// for one span `from..to` and high before and after, since what jerk does to the position, `(1 -
+/// s)^2 / 2`, is convex in the time `s` when it acts.
 fn highest_position(x: f64, y: f64) -> f64 {
     let low = (1.0 - x.clamp(-1.0, 1.0)) / 2.0;
     if low < SHORTEST {

@@ -1,4 +1,5 @@
-//! Every single clearance: an arm is pushed at one boundary that only one of its parts can meet first.
+//! Every single clearance: an arm is pushed at one boundary that only one of its parts can meet
+//! first.
 
 use super::two_arms::gaps;
 use super::{
@@ -43,7 +44,8 @@ fn down(config: &ControlConfig, state: &MotionState, h: impl Fn(&MotionState) ->
     let steepest = slopes
         .iter()
         .fold(1e-9_f64, |most, slope| most.max(slope.abs()));
-    // A third of full speed, so that neither the tip's speed nor its turning is what holds the arm back.
+    // A third of full speed, so that neither the tip's speed nor its turning is what holds the arm
+    // back.
     core::array::from_fn(|axis| -slopes[axis] / steepest * config.axes[axis].velocity / 3.0)
 }
 
@@ -196,14 +198,16 @@ fn each_link_is_kept_from_each_region() {
         for link in 0..LINKS {
             let (config, state) = beside(slot, link, &mut random);
             let index = FACES + LINKS * slot + link;
-            // Negated, it still stops the arm once the whole stop's travel no longer says that the region is far.
+            // Negated, it still stops the arm once the whole stop's travel no longer says that the
+            // region is far.
             let dropped = PlantedGuardFault::Dropped(Check::Clearance(index));
             only_without(&[dropped], |fault| push(&config, state, index, fault));
         }
     }
 }
 
-/// Two arms of which the links of `kind` are nearest to one another, [`START_M`] from what they must keep.
+/// Two arms of which the links of `kind` are nearest to one another, [`START_M`] from what they
+/// must keep.
 fn facing(kind: usize, random: &mut SplitMix64) -> (ControlConfig, [MotionState; 2]) {
     let (link_a, link_b) = KINDS[kind];
     for _ in 0..SEARCH {

@@ -63,7 +63,8 @@ fn an_arm_enabled_outside_is_kept_in_once_it_is_back() {
     );
 }
 
-/// The insertion of the arm at home at which it is `depth_m` deep in the region, or the yaw if that does not lead there.
+/// The insertion of the arm at home at which it is `depth_m` deep in the region, or the yaw if that
+/// does not lead there.
 fn within(config: &ControlConfig, depth_m: f64) -> MotionState {
     let region_m = |state: &MotionState| least(&clearances(config, state)[FACES..]);
     let depth = |axis: usize, value: f64| {
@@ -94,8 +95,8 @@ fn way_out(config: &ControlConfig, state: &MotionState) -> [f64; AXES] {
     })
 }
 
-/// Pushes an arm that starts `depth_m` in a region further in, then out; gives how much worse it got than it had been before,
-/// and where it ended.
+/// Pushes an arm that starts `depth_m` in a region further in, then out; gives how much worse it
+/// got than it had been before, and where it ended.
 fn push(shape: Shape, depth_m: f64, axis: usize) -> (f64, f64) {
     let config = config_with(&[shape]);
     let start = within(&config, depth_m);

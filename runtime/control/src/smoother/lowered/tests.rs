@@ -80,9 +80,11 @@ struct Watch {
     built: AxisLimits,
     limits: AxisLimits,
     target: f64,
-    /// What the acceleration is brought to zero with: the full jerk where something was lowered, else the limit.
+    /// What the acceleration is brought to zero with: the full jerk where something was lowered,
+    /// else the limit.
     ramp_jerk: f64,
-    /// Where the velocity may be: between the start, the target, and where that jerk would have taken it.
+    /// Where the velocity may be: between the start, the target, and where that jerk would have
+    /// taken it.
     low: f64,
     high: f64,
 }
@@ -138,7 +140,8 @@ impl Watch {
             self.low,
             self.high
         );
-        // As soon as the jerk keeps it from passing the target, it does not pass it, nor turn back on the way.
+        // As soon as the jerk keeps it from passing the target, it does not pass it, nor turn back
+        // on the way.
         let tolerance = VELOCITY_TOLERANCE * self.built.velocity;
         let side = a.signum();
         if a * a / (2.0 * self.ramp_jerk) <= side * (self.target - v) + 1e-3 * tolerance {
@@ -173,7 +176,8 @@ fn lowered_limits_are_reached_without_overshoot() {
     for round in 0..200 {
         let mut smoother = Smoother::new(&built, TICK_S);
         let mut state = at_rest();
-        // The second change comes while the first is still being settled; it lowers some limits and raises others.
+        // The second change comes while the first is still being settled; it lowers some limits and
+        // raises others.
         for again in 0..3 {
             if again != 1 {
                 wander(&mut smoother, &mut state, &mut random);
@@ -212,7 +216,8 @@ fn lowered_limits_are_reached_without_overshoot() {
     }
 }
 
-/// A state at full limits that does not fit the lower ones, as the guard's stop may leave it behind.
+/// A state at full limits that does not fit the lower ones, as the guard's stop may leave it
+/// behind.
 fn outside(built: &AxisLimits, limits: &AxisLimits, random: &mut SplitMix64) -> (f64, f64, f64) {
     loop {
         let a = random.between(-built.acceleration, built.acceleration);

@@ -1,4 +1,5 @@
-//! One adversary an arm, trouble besides, a filter that lies now and then, and a judge who knows nothing of any of them.
+//! One adversary an arm, trouble besides, a filter that lies now and then, and a judge who knows
+//! nothing of any of them.
 
 use super::figures::Figures;
 use super::judge::Oracle;
@@ -9,8 +10,8 @@ use crate::sabotage::Garbage;
 use crate::{QpOutcome, TickOutput, second_opinion};
 use hal::random::SplitMix64;
 
-/// Every so many commands the tail is followed to rest, more seldom in a long attack; primes, so that they meet every phase
-/// of what is periodic.
+/// Every so many commands the tail is followed to rest, more seldom in a long attack; primes, so
+/// that they meet every phase of what is periodic.
 const TAIL_EVERY: u64 = 37;
 const TAIL_EVERY_LONG: u64 = 997;
 
@@ -159,7 +160,8 @@ impl Attack {
     }
 }
 
-/// How long an attack lasts: `TROCAR_ADVERSARY_TICKS`, or 20 000 ticks; `make adversary` has ten million.
+/// How long an attack lasts: `TROCAR_ADVERSARY_TICKS`, or 20 000 ticks; `make adversary` has ten
+/// million.
 pub(super) fn ticks() -> u64 {
     std::env::var("TROCAR_ADVERSARY_TICKS").map_or(20_000, |text| text.parse().unwrap())
 }

@@ -1,5 +1,5 @@
-//! What an outsider sees: the distance to every boundary, worked out from the arm's table by search. It shares no code with
-//! the controller but the parsed configuration.
+//! What an outsider sees: the distance to every boundary, worked out from the arm's table by
+//! search. It shares no code with the controller but the parsed configuration.
 
 use hal::Pose;
 use hal::psm::{DH, DhRow, FINGER_M, SHAFT_RADIUS_M, TIP_FROM_WRIST_YAW};
@@ -69,7 +69,8 @@ impl Boundary {
         all
     }
 
-    /// Every link's end at every region with flat faces; where a link is nearest to these can jump from end to end.
+    /// Every link's end at every region with flat faces; where a link is nearest to these can jump
+    /// from end to end.
     pub(in crate::tests) fn ends(config: &ControlConfig) -> Vec<Self> {
         let mut ends = Vec::new();
         for (arm, place) in config.arms.iter().enumerate() {

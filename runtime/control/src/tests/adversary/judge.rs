@@ -1,5 +1,5 @@
-//! The judge: `verify`, which reads the limits from the texts and the motion from the commands, and shares nothing with the
-//! controller.
+//! The judge: `verify`, which reads the limits from the texts and the motion from the commands, and
+//! shares nothing with the controller.
 
 use hal::{ArmError, ArmState, SafeTail};
 
@@ -62,7 +62,8 @@ impl Oracle {
         self.tails += 1;
     }
 
-    /// What was broken, the first hundred thousand times. Measurements that are made up say nothing of where an arm is.
+    /// What was broken, the first hundred thousand times. Measurements that are made up say nothing
+    /// of where an arm is.
     pub(in crate::tests) fn violations(&self, made_up: bool) -> Vec<String> {
         let violations = self.stream.violations().iter();
         violations

@@ -1,5 +1,6 @@
-//! Chunks made to do harm, operators, measurements and missed periods that make it worse, and a filter that lies in 5 % of its
-//! answers: no command may break a limit. The judge is `verify`, which shares nothing with the controller.
+//! Chunks made to do harm, operators, measurements and missed periods that make it worse, and a
+//! filter that lies in 5 % of its answers: no command may break a limit. The judge is `verify`,
+//! which shares nothing with the controller.
 //!
 //! `TROCAR_ADVERSARY_TICKS` says how long each attack lasts.
 
@@ -141,7 +142,8 @@ fn half_of_all_answers_may_be_garbage_for_two_arms() {
     half_garbage::<2>(352);
 }
 
-/// The judge sees what the guard prevents: without it the same attacks break limits, whether the filter lies or not.
+/// The judge sees what the guard prevents: without it the same attacks break limits, whether the
+/// filter lies or not.
 fn broken<const ARMS: usize>(garbage: f64) {
     let mut all = 0;
     let mut in_space = 0;
@@ -196,7 +198,8 @@ fn filter_and_smoother_alone_break_limits_of_two_arms() {
     broken::<2>(0.0);
 }
 
-/// Arms that lag 10 ms behind their setpoints, more than a millimetre at full speed, and whose yaw is off by 0.7 mm at the tip.
+/// Arms that lag 10 ms behind their setpoints, more than a millimetre at full speed, and whose yaw
+/// is off by 0.7 mm at the tip.
 fn late() -> Attack {
     Attack {
         follows: 0.1,
@@ -207,7 +210,8 @@ fn late() -> Attack {
     }
 }
 
-/// An arm that lags as the simulated drives do, by 4 ms, and gains as much speed during a stop as its margin allows; off as well.
+/// An arm that lags as the simulated drives do, by 4 ms, and gains as much speed during a stop as
+/// its margin allows; off as well.
 fn quick() -> Attack {
     Attack {
         quick: true,
@@ -254,7 +258,8 @@ fn no_two_measured_arms_that_lag_behind_meet() {
     assert!(kept > 0.0 && ignored < 0.0, "{kept} {ignored}");
 }
 
-/// What an arm falls further behind during a stop is within the least margin that the configuration accepts for it.
+/// What an arm falls further behind during a stop is within the least margin that the configuration
+/// accepts for it.
 #[test]
 fn no_measured_arm_with_quick_axes_enters_a_region() {
     let [kept, ignored] = [false, true].map(|ignored| lagging::<1>(&quick(), ignored));

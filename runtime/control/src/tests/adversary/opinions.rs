@@ -52,8 +52,8 @@ fn agree<const ARMS: usize>(kinds: &[Kind], seed: u64, ticks: u64, problems: u64
     assert!(all.problems >= problems, "{all:?}");
     assert!(all.unsolved + all.rough < all.problems / 100, "{all:?}");
     assert!(all.gap < 1e-8 && all.violation < 1e-9, "{all:?}");
-    // Moving the joints without the tip costs a thousandth, so that answers far apart are nearly as good: a gap of 1e-10
-    // leaves room for 4e-4.
+    // Moving the joints without the tip costs a thousandth, so that answers far apart are nearly as
+    // good: a gap of 1e-10 leaves room for 4e-4.
     assert!(all.change < 5e-5, "{all:?}");
 }
 

@@ -24,8 +24,8 @@ impl Scene {
         )
     }
 
-    /// The same with yaw and pitch so quick that they gain all of their speed during a stop, and with the least guard margin that is
-    /// accepted for it.
+    /// The same with yaw and pitch so quick that they gain all of their speed during a stop, and
+    /// with the least guard margin that is accepted for it.
     pub(in crate::tests) fn quick() -> Self {
         let control = ControlConfig::default_control().text().replace(
             "acceleration_rad_s2 = 4.0\njerk_rad_s3 = 80.0",
@@ -70,7 +70,8 @@ impl Scene {
         }
     }
 
-    /// With a gate that lets every finite chunk through, so that jumps reach the filter and the guard. Limits stay as they are.
+    /// With a gate that lets every finite chunk through, so that jumps reach the filter and the
+    /// guard. Limits stay as they are.
     pub(in crate::tests) fn open_gate(mut self) -> Self {
         let gate = &mut self.config.gate;
         gate.step_m_max = 1e7;
@@ -100,7 +101,8 @@ pub(in crate::tests) fn obedient(command: &ArmCommand, stamp: TimeNs) -> ArmStat
     }
 }
 
-/// A measured arm that goes a share of the way from where it was `before` to where it is `told`, but for the yaw, which is off.
+/// A measured arm that goes a share of the way from where it was `before` to where it is `told`,
+/// but for the yaw, which is off.
 fn lagging(before: &ArmState, mut told: ArmState, share: f64, off_rad: f64) -> ArmState {
     told.position[0] += off_rad;
     ArmState {

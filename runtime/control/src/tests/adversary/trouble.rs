@@ -1,4 +1,5 @@
-//! All that goes wrong beside the chunks: an operator who presses everything, and measurements that are lost or make no sense.
+//! All that goes wrong beside the chunks: an operator who presses everything, and measurements that
+//! are lost or make no sense.
 
 use hal::{ArmError, ArmState, JOINT_COUNT};
 
@@ -46,7 +47,8 @@ impl Trouble {
         }
     }
 
-    /// What is measured of `arm` in this tick. An arm without torque is believed wherever it is, so it is not said to jump.
+    /// What is measured of `arm` in this tick. An arm without torque is believed wherever it is, so
+    /// it is not said to jump.
     pub(super) fn measured(
         &mut self,
         random: &mut SplitMix64,

@@ -1,4 +1,5 @@
-//! Faults planted in the safety filter, one at a time: each must be found, and what survives must change nothing.
+//! Faults planted in the safety filter, one at a time: each must be found, and what survives must
+//! change nothing.
 
 mod measure;
 mod places;

@@ -1,4 +1,5 @@
-//! States near every boundary, with velocities that press against it and velocities that have every right to pass.
+//! States near every boundary, with velocities that press against it and velocities that have every
+//! right to pass.
 
 use super::super::adversary::eyes::Boundary;
 use super::super::adversary::kinds::below;
@@ -36,8 +37,8 @@ pub(super) fn boundaries(config: &ControlConfig) -> Vec<Boundary> {
     all
 }
 
-/// `count` places near each boundary of interest that can be reached, and some in the middle. The second list is of the boundaries that
-/// cannot: something else is always in the way.
+/// `count` places near each boundary of interest that can be reached, and some in the middle. The
+/// second list is of the boundaries that cannot: something else is always in the way.
 pub(super) fn places(
     config: &ControlConfig,
     count: usize,
@@ -149,8 +150,8 @@ fn near(
     None
 }
 
-/// Whether nothing else stands for the boundary: a link is nearest to a region with flat faces in its middle, and an end that
-/// has a row of its own is not the nearest place of a link.
+/// Whether nothing else stands for the boundary: a link is nearest to a region with flat faces in
+/// its middle, and an end that has a row of its own is not the nearest place of a link.
 fn matters(config: &ControlConfig, boundary: Boundary, positions: &[Axes]) -> bool {
     let at = |boundary: Boundary| boundary.clearance(config, positions);
     let own = at(boundary);
@@ -180,7 +181,8 @@ fn matters(config: &ControlConfig, boundary: Boundary, positions: &[Axes]) -> bo
 /// The shortest way to where the boundary is `goal` away, as far as its slope tells.
 fn step_to(config: &ControlConfig, boundary: Boundary, goal: f64, positions: &mut [Axes]) {
     let lacking = goal - boundary.clearance(config, positions);
-    // In units in which a metre of insertion and a radian of the others do about the same to the tip.
+    // In units in which a metre of insertion and a radian of the others do about the same to the
+    // tip.
     let weight = |axis: usize| if axis == INSERTION { 0.01 } else { 1.0 };
     let slope = slope(config, boundary, positions);
     let steepness: f64 = slope

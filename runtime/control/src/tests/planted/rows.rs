@@ -193,7 +193,8 @@ fn equivalent(config: &ControlConfig, name: &str) -> Option<&'static str> {
     }
 }
 
-/// The scene of `arms`, and without its regions but with ranges or a workspace so tight that each end can be reached.
+/// The scene of `arms`, and without its regions but with ranges or a workspace so tight that each
+/// end can be reached.
 fn variants(arms: usize) -> [ControlConfig; 3] {
     let config = Scene::of_arms(arms).config;
     let mut empty = config.clone();

@@ -1,4 +1,5 @@
-//! What the chain makes of situations that a user meets: walls, corners, other arms, bad starts, slower limits.
+//! What the chain makes of situations that a user meets: walls, corners, other arms, bad starts,
+//! slower limits.
 
 mod minimal;
 mod recovery;
@@ -22,7 +23,8 @@ const STEP_NS: u64 = 40 * TICK_NS;
 /// How often a chunk arrives, ticks.
 const CHUNK_EVERY: u64 = 200;
 
-/// Lets every arm follow `path`, a function of the arm and of the time in seconds since now; `each` sees every tick.
+/// Lets every arm follow `path`, a function of the arm and of the time in seconds since now; `each`
+/// sees every tick.
 fn follow<const ARMS: usize>(
     rig: &mut Rig<ARMS>,
     duration_s: f64,

@@ -64,7 +64,8 @@ fn bad_starts() -> Vec<(&'static str, ArmState, Boundary)> {
     ]
 }
 
-/// On the way from home to `start`, where the boundary is passed by 2 mm (0.002 rad) or, if it never is, the end.
+/// On the way from home to `start`, where the boundary is passed by 2 mm (0.002 rad) or, if it
+/// never is, the end.
 fn beyond(config: &ControlConfig, start: &ArmState, boundary: Boundary) -> ArmState {
     let (from, to) = (axes_of(&home()), axes_of(start));
     (0..=1000)

@@ -39,7 +39,8 @@ fn can_stop(limits: &AxisLimits, (p, v, a): (f64, f64, f64)) -> Option<AxisStop>
         .then_some(stop)
 }
 
-/// Always the highest jerk one way or the other, as long as a stop is left; otherwise the stop itself.
+/// Always the highest jerk one way or the other, as long as a stop is left; otherwise the stop
+/// itself.
 fn extreme_jerks(limits: &AxisLimits, seed: u64, steps: u64) -> Excess {
     let mut random = SplitMix64::new(seed);
     let mut excess = Excess::default();
@@ -93,7 +94,8 @@ fn extreme_jerks_keep_every_axis_in_range() {
     }
 }
 
-/// Velocities at the filter's bounds for each axis, through the smoother; gives the excesses and how often no stop was left.
+/// Velocities at the filter's bounds for each axis, through the smoother; gives the excesses and
+/// how often no stop was left.
 fn extreme_velocities(seed: u64, ticks: u64) -> [Excess; AXES] {
     let mut config = Scene::crowded().config;
     // Only the bounds of the axes are of interest.

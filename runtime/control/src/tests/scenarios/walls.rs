@@ -11,7 +11,8 @@ use crate::tests::adversary::rig::{Rig, Scene};
 /// The height of every wall below the remote centre, m; the finger tips at home are 30 mm above it.
 const FLOOR_M: f64 = -0.154;
 
-/// A horizontal wall of each kind: the workspace's floor, a plane, the face of a box, the back of a capsule, the top of a ball.
+/// A horizontal wall of each kind: the workspace's floor, a plane, the face of a box, the back of a
+/// capsule, the top of a ball.
 fn walls() -> Vec<(&'static str, ControlConfig)> {
     let kinds = ["workspace", "half_space", "box", "capsule", "sphere"];
     kinds.map(|kind| (kind, wall(kind))).to_vec()
@@ -105,7 +106,8 @@ struct Slide {
     nearest_m: f64,
 }
 
-/// Leads the finger tips down to 8 mm beyond the wall and then along it; the measured yaw is `off_rad` from the commanded one.
+/// Leads the finger tips down to 8 mm beyond the wall and then along it; the measured yaw is
+/// `off_rad` from the commanded one.
 fn slide(config: &ControlConfig, speed_m_s: f64, off_rad: f64) -> Slide {
     let mut rig = Rig::<1>::enabled(config);
     if off_rad > 0.0 {
@@ -165,14 +167,16 @@ fn sliding_along_a_wall_keeps_the_speed_along_it() {
     slide_along_all(0.0);
 }
 
-/// A constant following error of 2 mm is more than the filter's margin has over the guard's: the filter keeps its distance as the guard
-/// does, so that the arm slides along the wall instead of being stopped in front of it.
+/// A constant following error of 2 mm is more than the filter's margin has over the guard's: the
+/// filter keeps its distance as the guard does, so that the arm slides along the wall instead of
+/// being stopped in front of it.
 #[test]
 fn a_constant_following_error_leaves_the_speed_along_it() {
     slide_along_all(0.016);
 }
 
-/// A minute with the target 15 mm beyond the wall, at rest or on a circle of 4 mm; gives the jerk, after 3 s.
+/// A minute with the target 15 mm beyond the wall, at rest or on a circle of 4 mm; gives the jerk,
+/// after 3 s.
 fn minute(kind: &str, config: &ControlConfig, circle_m: f64, depth_m: f64) -> Jerk {
     let mut rig = Rig::<1>::enabled(config);
     let path = |_: usize, time_s: f64| {

@@ -24,7 +24,8 @@ fn log(name: &str) -> RunLog {
     RunLog::open(&file.0).unwrap()
 }
 
-/// Lets a controller drive the recorded arm through the whole log; gives how many commands were other ones.
+/// Lets a controller drive the recorded arm through the whole log; gives how many commands were
+/// other ones.
 fn drive(log: &RunLog, operator: impl Fn(u64) -> Option<OperatorEvent>) -> u64 {
     let control = ControlConfig::default_control();
     let config = ControlConfig::load(&control, &ControlConfig::needle_lift_safety()).unwrap();

@@ -10,7 +10,8 @@ use crate::{ArmRecord, TickRecord};
 
 const TICKS: u64 = 900;
 
-/// An honest run, with a change made to what the log says: the hash over the inputs stays the run's.
+/// An honest run, with a change made to what the log says: the hash over the inputs stays the
+/// run's.
 fn changed(
     name: &str,
     change: impl Fn(&mut [TickRecord]),

@@ -7,7 +7,8 @@ use crate::verify::{VerifyResult, verify};
 use crate::{ArmRecord, RunOutcome, TickRecord};
 use trocar_control::CommandHash;
 
-/// An honest run with one change made to its records; the hash of the commands stays the run's if `as_reported`.
+/// An honest run with one change made to its records; the hash of the commands stays the run's if
+/// `as_reported`.
 fn doctored(name: &str, as_reported: bool, change: impl Fn(&mut [TickRecord])) -> VerifyResult {
     let (mut records, header) = run_two_arms(900);
     let mut hash = CommandHash::new();
@@ -59,7 +60,8 @@ fn a_jump_of_either_arm_is_caught_and_named() {
 
 #[test]
 fn arms_that_come_too_near_are_caught() {
-    // The second arm does what the first one does, mirrored: as if they could go through each other.
+    // The second arm does what the first one does, mirrored: as if they could go through each
+    // other.
     let result = doctored("two-near", false, |records| {
         for (record, k) in records[300..].iter_mut().zip(0_u32..) {
             let share = (f64::from(k) / 600.0).powi(3);

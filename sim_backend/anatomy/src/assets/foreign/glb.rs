@@ -1,7 +1,8 @@
-//! The meshes of a `.glb` that another program made, as tissue groups: a part a node of the scene that has a mesh.
+//! The meshes of a `.glb` that another program made, as tissue groups: a part a node of the scene
+//! that has a mesh.
 //!
-//! glTF has metres, y upwards and z forward: upwards is taken for the patient's head, forward for the front. Textures are not read, a part has
-//! its material's colour.
+//! glTF has metres, y upwards and z forward: upwards is taken for the patient's head, forward for
+//! the front. Textures are not read, a part has its material's colour.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -182,7 +183,8 @@ impl<'a> Reader<'a> {
         Ok(items.map(number).collect())
     }
 
-    /// The bytes of each item of an accessor of this shape, which must all lie in the file, and what its numbers are.
+    /// The bytes of each item of an accessor of this shape, which must all lie in the file, and
+    /// what its numbers are.
     fn items(
         &mut self,
         index: Index<Accessor>,
@@ -212,8 +214,8 @@ impl<'a> Reader<'a> {
         Ok((kind.0, items))
     }
 
-    /// Where an accessor's first item of `size` bytes is among the numbers, the bytes from one to the next, and how many there are; none
-    /// if not all are there.
+    /// Where an accessor's first item of `size` bytes is among the numbers, the bytes from one to
+    /// the next, and how many there are; none if not all are there.
     fn place(&self, accessor: &Accessor, size: usize) -> Option<(usize, usize, usize)> {
         let bytes = |number: USize64| usize::try_from(number.0).ok();
         let view = self.root.get(accessor.buffer_view?)?;

@@ -1,8 +1,10 @@
-//! The meshes of an OpenUSD text (`.usda`), alone or first in a package (`.usdz`), that another program made: a part a `Mesh` that is seen.
+//! The meshes of an OpenUSD text (`.usda`), alone or first in a package (`.usdz`), that another
+//! program made: a part a `Mesh` that is seen.
 //!
-//! The patient's head is where the stage's up axis points to; its front is z if that is y, as in glTF, and y if that is z, with the
-//! patient's right at x, as our own stages have it. Subdivision surfaces are taken as their cages. A part has the colour of its
-//! `UsdPreviewSurface`, or else its display colour.
+//! The patient's head is where the stage's up axis points to; its front is z if that is y, as in
+//! glTF, and y if that is z, with the patient's right at x, as our own stages have it. Subdivision
+//! surfaces are taken as their cages. A part has the colour of its `UsdPreviewSurface`, or else its
+//! display colour.
 
 mod layer;
 mod package;

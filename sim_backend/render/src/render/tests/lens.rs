@@ -44,7 +44,8 @@ fn mean(frame: &CameraFrame, pixels: impl Iterator<Item = usize>) -> f64 {
     sum / count
 }
 
-/// Light balls on a dark wall: their middles in ids, depth and colour are where the formula has them.
+/// Light balls on a dark wall: their middles in ids, depth and colour are where the formula has
+/// them.
 #[test]
 fn a_point_falls_where_the_formula_says() {
     let coated = |grey: f32| Material {
@@ -232,7 +233,8 @@ fn effects_do_what_they_say() {
     };
     let dark = seen(of(&|it| it.vignette = 0.5));
     assert!((mean(&dark, middle()) - mean(&clean, middle())).abs() < 2.0);
-    // The corner's middle is at 0.81 of the squared distance of the corner itself; light is taken before the sensor's response.
+    // The corner's middle is at 0.81 of the squared distance of the corner itself; light is taken
+    // before the sensor's response.
     let (dim, lit) = (mean(&dark, corner()), mean(&clean, corner()));
     let light = |byte: f64| {
         let y = ((byte / 255.0 + 0.055) / 1.055).powf(2.4);

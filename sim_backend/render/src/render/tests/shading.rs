@@ -1,4 +1,5 @@
-//! What light does: shadows that stay with the endoscope, patterns that stay with the surface, edges, metal.
+//! What light does: shadows that stay with the endoscope, patterns that stay with the surface,
+//! edges, metal.
 
 use nalgebra::{Point3, Vector3};
 

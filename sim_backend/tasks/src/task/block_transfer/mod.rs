@@ -1,4 +1,5 @@
-//! Block transfer: one arm takes a block off its peg, lifts it clear of the pegs and puts it on the pink one.
+//! Block transfer: one arm takes a block off its peg, lifts it clear of the pegs and puts it on the
+//! pink one.
 
 mod board;
 mod script;
@@ -70,8 +71,8 @@ pub struct BlockTransfer {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BlockStart {
-    /// The peg that is the goal, counted from 0 in the board's list; if not given it is drawn as well. The block starts on
-    /// one that is drawn among the others.
+    /// The peg that is the goal, counted from 0 in the board's list; if not given it is drawn as
+    /// well. The block starts on one that is drawn among the others.
     pub goal_peg: Option<usize>,
     /// Half the range of its uniform turn about the peg, rad.
     pub yaw_rad: f64,

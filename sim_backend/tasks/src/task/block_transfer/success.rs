@@ -28,15 +28,18 @@ pub struct SuccessConfig {
     pub away_m: f64,
     /// How long all this must hold without a break, s.
     pub hold_s: f64,
-    /// Largest penetration depth of the fingers and the block, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the fingers and the block, m; deeper is a fault of the
+    /// simulation.
     pub penetration_m_max: f64,
-    /// Largest penetration depth of the block with board and pegs, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the block with board and pegs, m; deeper is a fault of the
+    /// simulation.
     pub sunk_m_max: f64,
     /// Speed of a corner of the block above which it counts as thrown, m/s.
     pub block_speed_m_s_max: f64,
     /// Force of one finger on the block above which it counts as crushed, N.
     pub block_force_n_max: f64,
-    /// Energy that the block may gain while no instrument touches it, J: more is a fault of the simulation.
+    /// Energy that the block may gain while no instrument touches it, J: more is a fault of the
+    /// simulation.
     pub block_gain_j_max: f64,
     /// How hard the ground may be pressed.
     pub press: PressLimit,

@@ -1,4 +1,5 @@
-//! Needle handover: the right arm grasps a needle that lies on the liver and presents it, the left one takes it away.
+//! Needle handover: the right arm grasps a needle that lies on the liver and presents it, the left
+//! one takes it away.
 
 mod script;
 mod success;

@@ -11,7 +11,8 @@ use super::NeedleHandover;
 use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard, is_off, seconds};
 use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
-/// How long the needle may be between no arm's fingers before it counts as dropped, s: contacts flicker.
+/// How long the needle may be between no arm's fingers before it counts as dropped, s: contacts
+/// flicker.
 const LOOSE_S: f64 = 0.02;
 
 /// What counts as a handed-over needle, and what ends the episode at once.
@@ -28,16 +29,18 @@ pub struct SuccessConfig {
     pub away_m: f64,
     /// How long the left arm alone must hold the needle up, s.
     pub hold_s: f64,
-    /// Largest penetration depth of the fingers and the needle, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the fingers and the needle, m; deeper is a fault of the
+    /// simulation.
     pub penetration_m_max: f64,
     /// Speed of the middle of the needle's arc above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,
     /// Force of one finger on the needle above which it counts as crushed, N.
     pub needle_force_n_max: f64,
-    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the simulation.
+    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the
+    /// simulation.
     pub needle_gain_j_max: f64,
-    /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen off, m: deeper than a press gets it, which is
-    /// 1.5 mm with all that the drive gives.
+    /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen
+    /// off, m: deeper than a press gets it, which is 1.5 mm with all that the drive gives.
     pub sink_m_max: f64,
     /// How hard the ground may be pressed.
     pub press: PressLimit,
@@ -110,8 +113,8 @@ impl SuccessMonitor {
         self.safeguard.end(&middle, sight, fallen)
     }
 
-    /// `all`, and whether one arm alone holds the needle, clear of the organ: the first, or once it is `given` the second, the first
-    /// being away.
+    /// `all`, and whether one arm alone holds the needle, clear of the organ: the first, or once it
+    /// is `given` the second, the first being away.
     fn holding(&self, all: Criteria, sight: &MonitorInput, given: bool) -> Criteria {
         let (config, needle) = (&self.config, &sight.thing_in_scene);
         let (first, second) = (&sight.grasps[0], &sight.grasps[1]);

@@ -41,7 +41,8 @@ pub(super) const KIND: Kind = Kind {
 /// The scene of a needle lift.
 #[derive(Clone, Debug)]
 pub struct NeedleLift {
-    /// The needle of this episode: one of `needles`, the trained one unless another was chosen, or `[scene]` names one.
+    /// The needle of this episode: one of `needles`, the trained one unless another was chosen, or
+    /// `[scene]` names one.
     pub needle: NeedleShape,
     /// The name of that one.
     pub needle_name: String,

@@ -22,16 +22,18 @@ pub struct SuccessConfig {
     pub grip_force_n_min: f64,
     /// Free space between the whole wire and the organ, m.
     pub clearance_m: f64,
-    /// Largest penetration depth of the fingers and the needle, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the fingers and the needle, m; deeper is a fault of the
+    /// simulation.
     pub penetration_m_max: f64,
     /// Speed of the middle of the needle's arc above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,
     /// Force of one finger on the needle above which it counts as crushed, N.
     pub needle_force_n_max: f64,
-    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the simulation.
+    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the
+    /// simulation.
     pub needle_gain_j_max: f64,
-    /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen off, m: deeper than a press gets it, which is
-    /// 1.5 mm with all that the drive gives.
+    /// Depth below the organ's surface at which the middle of the needle's arc counts as fallen
+    /// off, m: deeper than a press gets it, which is 1.5 mm with all that the drive gives.
     pub sink_m_max: f64,
     /// How hard the ground may be pressed.
     pub press: PressLimit,

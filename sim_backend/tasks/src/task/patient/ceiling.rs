@@ -5,12 +5,14 @@ use nalgebra::Point2;
 
 use super::relief::{Relief, real, whole};
 
-/// Radius of the place of work, m; height up to which neighbours stand there, m, and how much higher for each metre beyond: gas and the
-/// assistant hold away what is higher, and what a camera beside would have in its way.
+/// Radius of the place of work, m; height up to which neighbours stand there, m, and how much
+/// higher for each metre beyond: gas and the assistant hold away what is higher, and what a camera
+/// beside would have in its way.
 const WORK_M: f64 = 0.040;
 const LEVEL_M: f64 = -0.004;
 const RISE: f64 = 0.4;
-/// How far below the organ's surface they stay at work, m, and the slope at which they rise from there.
+/// How far below the organ's surface they stay at work, m, and the slope at which they rise from
+/// there.
 const UNDER_M: f64 = 0.010;
 const STEEP: f64 = 1.6;
 /// Distance of the points of its table, m, how many there are along a side, and half the side, m.

@@ -1,4 +1,5 @@
-//! The front of a flap that was dissected off an organ: the surface before it is cut away, so that a finger fits under its free edge.
+//! The front of a flap that was dissected off an organ: the surface before it is cut away, so that
+//! a finger fits under its free edge.
 
 use hal::Mesh;
 use hal::mesh::single;
@@ -6,8 +7,9 @@ use nalgebra::{Point3, Vector3};
 
 /// How deep it is, m: the lower finger of an open jaw and the wrist behind it.
 const DEPTH_M: f64 = 0.010;
-/// How far, along y, the wall under the flap is from its upper to its lower end, m; from the upper end to the end of the floor; and the slope
-/// that leads from there up to the surface again. The wall's slope, 1.25 at most, and an organ's are less than what is felt at all (`relief`).
+/// How far, along y, the wall under the flap is from its upper to its lower end, m; from the upper
+/// end to the end of the floor; and the slope that leads from there up to the surface again. The
+/// wall's slope, 1.25 at most, and an organ's are less than what is felt at all (`relief`).
 const WALL_M: f64 = 0.012;
 const FLOOR_M: f64 = 0.028;
 const SLOPE_M: f64 = 0.030;

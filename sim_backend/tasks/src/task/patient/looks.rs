@@ -11,7 +11,8 @@ use crate::task::visuals::{LIVER, MUSCLE};
 /// Share of an asset's colour that tissue has under the light of an endoscope, which is close.
 const DIMMED: f32 = 0.5;
 
-/// What is known of a group by its name: how the renderer calls it, its pattern, and whether it is a wall of the belly or beyond one.
+/// What is known of a group by its name: how the renderer calls it, its pattern, and whether it is
+/// a wall of the belly or beyond one.
 const KNOWN: [(&str, Pattern, bool); 17] = [
     ("liver", Pattern::Liver, false),
     ("gallbladder", Pattern::Membrane, false),
@@ -45,7 +46,8 @@ pub(super) fn name(part: &Part) -> &'static str {
     known(part).0
 }
 
-/// Whether a group holds the belly's organs or lies beyond the diaphragm: an endoscope in the belly is within.
+/// Whether a group holds the belly's organs or lies beyond the diaphragm: an endoscope in the belly
+/// is within.
 pub(super) fn is_wall(part: &Part) -> bool {
     known(part).2
 }
@@ -53,7 +55,8 @@ pub(super) fn is_wall(part: &Part) -> bool {
 /// How far from its middle parts of a pattern are taken, mm.
 const PATTERN_MM: f64 = 2000.0;
 
-/// Which part of its pattern an organ shows, mm: as the hash of its name and its vertices says, so no two organs and no two patients look alike.
+/// Which part of its pattern an organ shows, mm: as the hash of its name and its vertices says, so
+/// no two organs and no two patients look alike.
 pub(super) fn pattern_at_mm(part: &Part) -> [f32; 2] {
     let vertices = part.mesh.positions.iter().flatten();
     let shape = vertices.flat_map(|along_m| along_m.to_le_bytes());
@@ -63,8 +66,8 @@ pub(super) fn pattern_at_mm(part: &Part) -> [f32; 2] {
     [x, y]
 }
 
-/// How the surface of a tissue group answers light: colour, roughness and film are the asset's, the pattern goes by the name. Liver and
-/// muscle look as in the tasks without a patient.
+/// How the surface of a tissue group answers light: colour, roughness and film are the asset's, the
+/// pattern goes by the name. Liver and muscle look as in the tasks without a patient.
 #[must_use]
 pub fn tissue_material(part: &Part) -> Material {
     match part.name.as_str() {

@@ -1,11 +1,13 @@
-//! A patient under the instruments: `[scene] patient = "DIR", organ = "liver"` makes an organ of what `trocar anatomy build` wrote into
-//! `DIR` the ground of a task.
+//! A patient under the instruments: `[scene] patient = "DIR", organ = "liver"` makes an organ of
+//! what `trocar anatomy build` wrote into `DIR` the ground of a task.
 //!
-//! The patient is turned so that a patch on the organ's front on which the task can be done faces the instruments, the widest, then the flattest,
-//! the head away from the viewer, and raised so that the patch is where the task has its ground. Patches are tried in this order until a flap lies
-//! on one, or a needle comes to rest there. The organ is rounded between its vertices, once for physics and pictures alike: what is felt is a table
-//! of the heights that are drawn. Its neighbours are scenery alone, pressed down where they would stand in the way. Which part of a pattern an organ
-//! shows depends on its shape.
+//! The patient is turned so that a patch on the organ's front on which the task can be done faces
+//! the instruments, the widest, then the flattest, the head away from the viewer, and raised so
+//! that the patch is where the task has its ground. Patches are tried in this order until a flap
+//! lies on one, or a needle comes to rest there. The organ is rounded between its vertices, once
+//! for physics and pictures alike: what is felt is a table of the heights that are drawn. Its
+//! neighbours are scenery alone, pressed down where they would stand in the way. Which part of a
+//! pattern an organ shows depends on its shape.
 
 mod ceiling;
 mod incision;
@@ -42,7 +44,8 @@ use relief::Relief;
 /// Distance of the points of the table of heights, m.
 const SPACING_M: f64 = 0.000_5;
 
-/// Mean height of the patch that a needle is lifted from, m: workspaces end 5 mm below z = 0, and an organ falls off around the patch.
+/// Mean height of the patch that a needle is lifted from, m: workspaces end 5 mm below z = 0, and
+/// an organ falls off around the patch.
 const RAISED_M: f64 = 0.005;
 
 /// Height of the floor behind the organs, m: organs are higher than the slabs of the other scenes.
@@ -52,11 +55,13 @@ const FLOOR_M: f64 = -0.060;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SceneFile {
-    /// The folder of the patient, or a `.glb`, `.usda` or `.usdz` of another program; a relative path is one from where the program was started.
+    /// The folder of the patient, or a `.glb`, `.usda` or `.usdz` of another program; a relative
+    /// path is one from where the program was started.
     patient: String,
     /// The tissue group that is the ground.
     pub(super) organ: String,
-    /// The needle of the scene that the patch has to suit, and that lies there, in a scene with a choice; the trained one if not given.
+    /// The needle of the scene that the patch has to suit, and that lies there, in a scene with a
+    /// choice; the trained one if not given.
     pub(super) needle: Option<String>,
 }
 
@@ -113,11 +118,13 @@ impl Site {
 }
 
 impl SceneFile {
-    /// Reads the patient and lays it under the instruments: of the widest patches of the organ the flattest that `fits`.
+    /// Reads the patient and lays it under the instruments: of the widest patches of the organ the
+    /// flattest that `fits`.
     ///
     /// # Errors
-    /// [`ConfigError::Refused`] if there is no patient in the folder, its file is damaged, or no patch of the organ is fit to work on;
-    /// [`ConfigError::OutOfRange`] if it has no such organ; what is wrong with the first patch, and which that is, where none fits.
+    /// [`ConfigError::Refused`] if there is no patient in the folder, its file is damaged, or no
+    /// patch of the organ is fit to work on; [`ConfigError::OutOfRange`] if it has no such organ;
+    /// what is wrong with the first patch, and which that is, where none fits.
     pub(super) fn load(
         &self,
         source: &Source,
@@ -228,7 +235,8 @@ pub(super) fn without_choice(
     Err(source.refused("scene.needle", name, reason))
 }
 
-/// What `needle` lies on from its `start` in a scene whose file says `shape`, and `scene` if it has that table.
+/// What `needle` lies on from its `start` in a scene whose file says `shape`, and `scene` if it has
+/// that table.
 ///
 /// # Errors
 /// Those of the shape's ranges, of the patient, and of a needle that lies on none of its patches.
@@ -272,7 +280,8 @@ impl Patient {
     }
 }
 
-/// What there is to see of the ground, the organ first, all in the scene frame: the patient's, or what `made_up` draws.
+/// What there is to see of the ground, the organ first, all in the scene frame: the patient's, or
+/// what `made_up` draws.
 pub(super) fn visuals(
     organ: &Organ,
     patient: Option<&Patient>,

@@ -13,7 +13,8 @@ use super::rounding;
 
 /// How far away one begins that is not drawn, m: cameras see no further.
 const FAR_M: f64 = 0.20;
-/// Edges are halved until they are shorter, m, at that distance and nearer, m, and not below that height, m.
+/// Edges are halved until they are shorter, m, at that distance and nearer, m, and not below that
+/// height, m.
 const EDGE_M: f64 = 0.012;
 const NEAR_EDGE_M: f64 = 0.006;
 const NEAR_M: f64 = 0.10;
@@ -23,7 +24,8 @@ const LAYER_M: f64 = 0.018;
 /// Least share of its height that an organ keeps as far as its normals say: it still looks round.
 const ROUND: f64 = 0.6;
 
-/// What is seen of the other organs in the cavity of the belly; `organ` is the one that is worked on, drawn as `drawn` in the scene frame.
+/// What is seen of the other organs in the cavity of the belly; `organ` is the one that is worked
+/// on, drawn as `drawn` in the scene frame.
 pub(super) fn around(
     drawn: &Mesh,
     organ: &str,
@@ -45,7 +47,8 @@ pub(super) fn around(
     others.filter_map(visual).collect()
 }
 
-/// Whether a camera can see some of it. It is drawn as a whole then, and stays closed: also what hangs over a camera has an underside.
+/// Whether a camera can see some of it. It is drawn as a whole then, and stays closed: also what
+/// hangs over a camera has an underside.
 fn is_near(mesh: &Mesh) -> bool {
     let distance_m = |p: &[f32; 3]| f64::from(p[0].hypot(p[1]));
     mesh.positions.iter().any(|p| distance_m(p) <= FAR_M)
@@ -62,8 +65,8 @@ fn edge_m(at: &Point3<f64>) -> Option<f64> {
     (distance_m <= FAR_M && at.z >= DEEP_M).then_some(edge_m)
 }
 
-/// The mesh pressed from above until all of it is below the ceiling. What was higher stays higher, however little: no face turns round, organs
-/// do not cross, and what is closed stays closed.
+/// The mesh pressed from above until all of it is below the ceiling. What was higher stays higher,
+/// however little: no face turns round, organs do not cross, and what is closed stays closed.
 fn pressed(mut mesh: Mesh, ceiling: &Ceiling) -> Mesh {
     for (position, normal) in mesh.positions.iter_mut().zip(&mut mesh.normals) {
         let mut at = Vector3::from(position.map(f64::from));

@@ -15,9 +15,11 @@ const AROUND_M: f64 = 0.060;
 const STANDS_UP_M: f64 = 0.015;
 /// Distance of the heights that a place is judged by, m.
 const SPACING_M: f64 = 0.004;
-/// Cosine of the greatest angle between the surface and the patient's front: instruments come in through the belly.
+/// Cosine of the greatest angle between the surface and the patient's front: instruments come in
+/// through the belly.
 const FRONT_MIN: f64 = 0.5;
-/// Most places that are looked at; how many of them a task may choose from, and how far these are from each other, m.
+/// Most places that are looked at; how many of them a task may choose from, and how far these are
+/// from each other, m.
 const PLACES_MAX: usize = 500;
 const CHOICES: usize = 6;
 const APART_M: f64 = 0.015;
@@ -37,8 +39,9 @@ pub(super) struct Patch {
 }
 
 impl Patch {
-    /// Places on the front of the organ `mesh` (RAS, m), the widest first, of the same width the flattest, each with its middle at the site's
-    /// `centre_m`, in height in the mean; the same for the same mesh. Narrower ones are looked for once no wider one is taken.
+    /// Places on the front of the organ `mesh` (RAS, m), the widest first, of the same width the
+    /// flattest, each with its middle at the site's `centre_m`, in height in the mean; the same for
+    /// the same mesh. Narrower ones are looked for once no wider one is taken.
     ///
     /// # Errors
     /// Why there is none.
@@ -76,7 +79,8 @@ impl Patch {
         chosen.into_iter().map(|(_, patch)| patch).collect()
     }
 
-    /// The place `at` with the outward `normal`, at `centre_m` in the scene; none if the organ does not reach all around.
+    /// The place `at` with the outward `normal`, at `centre_m` in the scene; none if the organ does
+    /// not reach all around.
     fn at(
         mesh: &Mesh,
         at: &Point3<f64>,
@@ -107,7 +111,8 @@ impl Patch {
     }
 }
 
-/// The pose of the scan in a frame about `at` whose z is `normal` and whose y leads to the patient's head.
+/// The pose of the scan in a frame about `at` whose z is `normal` and whose y leads to the
+/// patient's head.
 fn facing(at: &Point3<f64>, normal: &Vector3<f64>) -> Pose {
     let head = Vector3::z();
     let ahead = (head - normal * normal.dot(&head)).normalize();
@@ -138,7 +143,8 @@ fn sample(front: &[Place]) -> impl Iterator<Item = &Place> {
     front.iter().step_by(step)
 }
 
-/// How far the organ reaches all around a place, m: its nearest edge, up to 4 mm further than it is.
+/// How far the organ reaches all around a place, m: its nearest edge, up to 4 mm further than it
+/// is.
 fn reach_m(mesh: &Mesh, (at, normal): &Place) -> f64 {
     let relief = Relief::of(mesh, &facing(at, normal), [AROUND_M; 2], SPACING_M);
     let edges = relief.points().filter(|(_, _, height_m)| height_m.is_nan());

@@ -6,7 +6,8 @@ use hal::{Mesh, Pose};
 use nalgebra::{Point2, Point3};
 use trocar_world::tissue::Ground;
 
-/// Slope above which a step between two heights is no surface but an edge: another fold lies behind it.
+/// Slope above which a step between two heights is no surface but an edge: another fold lies behind
+/// it.
 const SLOPE_MAX: f64 = 2.0;
 /// Twice the area of a triangle, m², below which it is none from above.
 const AREA_MIN: f64 = 1e-14;

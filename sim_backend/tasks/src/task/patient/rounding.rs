@@ -1,4 +1,5 @@
-//! A coarse mesh rounded where one works: edges are halved, and their middles put where the normals at both ends say.
+//! A coarse mesh rounded where one works: edges are halved, and their middles put where the normals
+//! at both ends say.
 
 use std::collections::BTreeMap;
 
@@ -11,13 +12,15 @@ use nalgebra::{Point3, Vector3};
 const EDGE_M: f64 = 0.005;
 /// Rounds of halving at most.
 const ROUNDS: usize = 4;
-/// How far beyond the rectangle, and how far below the patch, it is rounded as well, for its outline, m.
+/// How far beyond the rectangle, and how far below the patch, it is rounded as well, for its
+/// outline, m.
 const BEYOND_M: f64 = 0.03;
 const DEEP_M: f64 = -0.08;
 
-/// `mesh` (scene frame) with shorter edges over the rectangle of `half_m` about the origin. The middle of an edge is that of the cubic curve
-/// that stands on the normals at its ends (Vlachos et al., "Curved PN triangles", 2001), so it depends on the edge alone: what was closed
-/// stays closed.
+/// `mesh` (scene frame) with shorter edges over the rectangle of `half_m` about the origin. The
+/// middle of an edge is that of the cubic curve that stands on the normals at its ends (Vlachos et
+/// al., "Curved PN triangles", 2001), so it depends on the edge alone: what was closed stays
+/// closed.
 pub(super) fn rounded(mesh: Mesh, half_m: [f64; 2]) -> Mesh {
     finer(mesh, |at| {
         let inside = (0..2).all(|axis| at[axis].abs() <= half_m[axis] + BEYOND_M);
@@ -25,7 +28,8 @@ pub(super) fn rounded(mesh: Mesh, half_m: [f64; 2]) -> Mesh {
     })
 }
 
-/// `mesh` (scene frame), rounded in the same way, with edges that are no longer than `edge_m` says of their middles.
+/// `mesh` (scene frame), rounded in the same way, with edges that are no longer than `edge_m` says
+/// of their middles.
 pub(super) fn finer(mut mesh: Mesh, edge_m: impl Fn(&Point3<f64>) -> Option<f64>) -> Mesh {
     for _ in 0..ROUNDS {
         let before = mesh.indices.len();

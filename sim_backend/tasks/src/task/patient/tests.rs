@@ -1,4 +1,5 @@
-//! Patients under the instruments: the phantom's liver is worked on, and what can't be one is refused.
+//! Patients under the instruments: the phantom's liver is worked on, and what can't be one is
+//! refused.
 
 use core::cell::Cell;
 use std::env;
@@ -52,7 +53,8 @@ impl Folder {
         Self(env::temp_dir().join(name))
     }
 
-    /// A patient in a folder that the tests which run at the same time share: they do not write into it.
+    /// A patient in a folder that the tests which run at the same time share: they do not write
+    /// into it.
     fn with_patient() -> Arc<Self> {
         static SHARED: Mutex<(u32, Weak<Folder>)> = Mutex::new((0, Weak::new()));
         let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -167,7 +169,8 @@ fn liver_is_felt_where_it_is_drawn() {
     );
 }
 
-/// Needles stay where they are when an episode begins, also where the first place is one that they slide off.
+/// Needles stay where they are when an episode begins, also where the first place is one that they
+/// slide off.
 #[test]
 fn needles_are_at_rest_when_an_episode_begins() {
     let folder = Folder::with_patient();
@@ -225,7 +228,8 @@ fn a_patient_of_another_program_lies_as_its_nodes_say() {
     );
 }
 
-/// Where an organ does not reach 30 mm around any place, a narrower patch is taken, and a needle that fits lies there and is lifted.
+/// Where an organ does not reach 30 mm around any place, a narrower patch is taken, and a needle
+/// that fits lies there and is lifted.
 #[test]
 fn small_organs_have_narrower_patches() {
     let folder = Folder::with_patient();
@@ -286,7 +290,8 @@ fn what_is_no_patient_is_refused_with_file_and_key() {
     assert!(cut.contains("patient.glb: it has not the length"), "{cut}");
 }
 
-/// What is felt of an incision is what is drawn, and the flap stands out over it, so that a finger fits under its free edge.
+/// What is felt of an incision is what is drawn, and the flap stands out over it, so that a finger
+/// fits under its free edge.
 #[test]
 fn a_flap_of_a_liver_stands_out_over_its_incision() {
     let folder = Folder::with_patient();
@@ -381,7 +386,8 @@ fn a_fold_whose_hole_is_in_the_liver_is_refused() {
     );
 }
 
-/// Where the flattest patch does not fit, another one is taken; where none does, the flattest one's reason is given.
+/// Where the flattest patch does not fit, another one is taken; where none does, the flattest one's
+/// reason is given.
 #[test]
 fn the_flattest_patch_that_fits_is_taken() {
     let folder = Folder::with_patient();
@@ -425,7 +431,8 @@ fn the_flattest_patch_that_fits_is_taken() {
     assert!(none.contains(&tried) && none.contains(&first), "{none}");
 }
 
-/// A flap that would be stretched wherever it is laid is refused, before an episode begins with it torn.
+/// A flap that would be stretched wherever it is laid is refused, before an episode begins with it
+/// torn.
 #[test]
 fn a_flap_that_does_not_lie_on_the_liver_is_refused() {
     let folder = Folder::with_patient();

@@ -1,5 +1,6 @@
-//! A fold of tissue in the place of the pad's lip: as thick, as high and with the same hole, with a round back, round ends and a foot that
-//! widens into the organ. Physics has the convex hulls of what is drawn.
+//! A fold of tissue in the place of the pad's lip: as thick, as high and with the same hole, with a
+//! round back, round ends and a foot that widens into the organ. Physics has the convex hulls of
+//! what is drawn.
 
 use core::f64::consts::PI;
 
@@ -11,7 +12,8 @@ use trocar_world::Shape;
 
 use super::PadShape;
 
-/// How deep the foot goes, scene z, m, and how much thicker it gets on each side for each metre down.
+/// How deep the foot goes, scene z, m, and how much thicker it gets on each side for each metre
+/// down.
 pub(super) const ROOT_M: f64 = 0.030;
 const WIDENING: f64 = 0.4;
 /// Height of the foot as a share of the height at which the hole begins.
@@ -59,7 +61,8 @@ impl<'a> Fold<'a> {
         });
         let sheets = sides.into_iter().chain([under, over, left, right]);
         let outside = sheets.map(|mut rows: Vec<Vec<Point3<f64>>>| {
-            // A section goes from the front over the back, so outside is where sections follow each other towards -x.
+            // A section goes from the front over the back, so outside is where sections follow each
+            // other towards -x.
             rows.reverse();
             smooth_sheet(&rows)
         });
@@ -67,7 +70,8 @@ impl<'a> Fold<'a> {
         Mesh::merged(outside.chain(inside))
     }
 
-    /// The foot, what is under and over the hole, and what is left and right of it, as sections along x.
+    /// The foot, what is under and over the hole, and what is left and right of it, as sections
+    /// along x.
     fn parts(&self) -> [Vec<Vec<Point3<f64>>>; 5] {
         let hole = self.pad.hole_half_m;
         let under_m = self.pad.hole_height_m - hole;
@@ -177,7 +181,8 @@ mod tests {
         pairs.map(|(p, n)| [p, n].map(|v| Vector3::from(v.map(f64::from))))
     }
 
-    /// Triangles face the way that their normals do, and those of the outside away from the fold's middle.
+    /// Triangles face the way that their normals do, and those of the outside away from the fold's
+    /// middle.
     #[test]
     fn a_fold_faces_outwards() {
         let pad = SuturePad::shipped().pad;

@@ -1,4 +1,5 @@
-//! Suture pad: one arm grasps a needle that lies on a pad and drives it through the hole in the pad's lip.
+//! Suture pad: one arm grasps a needle that lies on a pad and drives it through the hole in the
+//! pad's lip.
 //!
 //! On a patient the lip is a fold of an organ, on which the needle lies.
 
@@ -48,13 +49,15 @@ pub(super) const KIND: Kind = Kind {
 /// How far above the pad the needle is let go, m: it must not start inside.
 const DROP_M: f64 = 0.000_1;
 
-/// Mean height of a patient's patch, m: the workspace ends 3 mm below z = 0, and the lip's hole is from 7 mm on.
+/// Mean height of a patient's patch, m: the workspace ends 3 mm below z = 0, and the lip's hole is
+/// from 7 mm on.
 const RAISED_M: f64 = 0.003;
 
 /// How far before and behind a fold's hole the organ must be below it, m.
 const WAY_M: f64 = 0.010;
 
-/// Contact with a patient's organ, of each of the needle's balls and of each sample point of the instrument, as in the needle lift.
+/// Contact with a patient's organ, of each of the needle's balls and of each sample point of the
+/// instrument, as in the needle lift.
 const ON_ORGAN: Surface = Surface {
     stiffness_n_m: 150.0,
     damping_n_s_m: 0.3,
@@ -179,7 +182,8 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     Ok((common, Box::new(scene)))
 }
 
-/// What the scene needs of a patient's organ: what the pad covers, the flattest between needles and fold.
+/// What the scene needs of a patient's organ: what the pad covers, the flattest between needles and
+/// fold.
 fn site(pad: &PadShape, start: &PadStart, needle: &NeedleShape) -> Site {
     let arc = start.on_organ(needle);
     let y = 0.5 * (pad.lip_front_m + arc.centre_m[1]);
@@ -191,8 +195,8 @@ fn site(pad: &PadShape, start: &PadStart, needle: &NeedleShape) -> Site {
     }
 }
 
-/// Checks that the middle of a fold's hole is above `organ`, from where a needle comes to where it goes, and that its foot is in it along the
-/// fold's middle line.
+/// Checks that the middle of a fold's hole is above `organ`, from where a needle comes to where it
+/// goes, and that its foot is in it along the fold's middle line.
 fn check_fold(source: &Source, pad: &PadShape, organ: &Organ) -> Result<(), ConfigError> {
     let refused = |key: &str, value_m: f64, reason: String| {
         Err(source.refused(&format!("pad.{key}"), &format!("{value_m}"), &reason))
@@ -218,7 +222,8 @@ fn check_fold(source: &Source, pad: &PadShape, organ: &Organ) -> Result<(), Conf
     Ok(())
 }
 
-/// A needle on a patient's `organ`, before the fold that is there in the place of the lip of `pad`, at the start of the episode `seed`.
+/// A needle on a patient's `organ`, before the fold that is there in the place of the lip of `pad`,
+/// at the start of the episode `seed`.
 fn before_fold(
     pad: &PadShape,
     start: &NeedleStart,

@@ -1,4 +1,5 @@
-//! The suture pad: a plate whose top is the scene's xy-plane, with an upright lip that has a hole through it.
+//! The suture pad: a plate whose top is the scene's xy-plane, with an upright lip that has a hole
+//! through it.
 
 use hal::config::{ConfigError, Source};
 use hal::{Mesh, Pose};
@@ -16,7 +17,8 @@ const INSET_M: f64 = 0.000_3;
 /// Thickness of the ink, m.
 const INK_M: f64 = 0.000_05;
 
-/// A suture pad. The lip stands across y; its square hole goes through it along y over the scene's origin.
+/// A suture pad. The lip stands across y; its square hole goes through it along y over the scene's
+/// origin.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PadShape {
@@ -104,7 +106,8 @@ impl PadShape {
         [table].into_iter().chain(self.boxes()).map(shape).collect()
     }
 
-    /// What is drawn, in the scene frame: skin with the lip, fat, muscle, and the ink around the hole.
+    /// What is drawn, in the scene frame: skin with the lip, fat, muscle, and the ink around the
+    /// hole.
     pub(super) fn meshes(&self) -> [Mesh; 4] {
         let [plate, lip @ ..] = self.boxes();
         let layer = |from: f64, to: f64, inset_m: f64| {
@@ -143,7 +146,8 @@ impl PadShape {
         }))
     }
 
-    /// Lowest and highest corners of the plate and of the lip left of, right of, under and over the hole.
+    /// Lowest and highest corners of the plate and of the lip left of, right of, under and over the
+    /// hole.
     fn boxes(&self) -> [[[f64; 3]; 2]; 5] {
         let (x, y) = (0.5 * self.length_m, 0.5 * self.width_m);
         let (end, hole) = (0.5 * self.lip_length_m, self.hole_half_m);

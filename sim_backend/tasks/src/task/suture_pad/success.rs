@@ -18,21 +18,25 @@ pub struct SuccessConfig {
     pub through_m: f64,
     /// How long the needle must stay so without a break, s.
     pub hold_s: f64,
-    /// Largest penetration depth of the fingers and the needle, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the fingers and the needle, m; deeper is a fault of the
+    /// simulation.
     pub penetration_m_max: f64,
-    /// Largest penetration depth of the needle and the pad, or the fold of an organ, m; deeper is a fault of the simulation.
+    /// Largest penetration depth of the needle and the pad, or the fold of an organ, m; deeper is a
+    /// fault of the simulation.
     pub sunk_m_max: f64,
     /// Speed of the needle's point above which the needle counts as thrown, m/s.
     pub needle_speed_m_s_max: f64,
     /// Force of one finger on the needle above which it counts as crushed, N.
     pub needle_force_n_max: f64,
-    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the simulation.
+    /// Energy that the needle may gain while no instrument touches it, J: more is a fault of the
+    /// simulation.
     pub needle_gain_j_max: f64,
     /// How hard the ground may be pressed.
     pub press: PressLimit,
 }
 
-/// Depth below a patient's organ at which the middle of the needle's arc counts as fallen off, m, as in the needle lift.
+/// Depth below a patient's organ at which the middle of the needle's arc counts as fallen off, m,
+/// as in the needle lift.
 const SINK_M: f64 = 0.005;
 
 /// Points on the wire at which its way through the hole is followed: 0.6 mm apart.

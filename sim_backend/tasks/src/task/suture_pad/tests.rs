@@ -7,8 +7,8 @@ use super::*;
 use crate::simulation::pictures::{Looks, saturation};
 use crate::task::{Judge, MonitorInput, Outcome, Reason, TaskConfig};
 
-/// The needle flat at the height of the hole, its point `angle_rad` past the plane of the lip on the circle through the
-/// hole.
+/// The needle flat at the height of the hole, its point `angle_rad` past the plane of the lip on
+/// the circle through the hole.
 fn on_circle(scene: &SuturePad, angle_rad: f64) -> Pose {
     let centre = scene.pad.hole() - Vector3::x() * scene.needle.arc_radius_m;
     let yaw = angle_rad - 0.5 * scene.needle.arc_angle_rad;

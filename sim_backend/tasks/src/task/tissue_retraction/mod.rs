@@ -1,6 +1,8 @@
-//! Tissue retraction: one arm grasps a flap of skin on a liver at a red mark near its free edge, lifts it and holds it up.
+//! Tissue retraction: one arm grasps a flap of skin on a liver at a red mark near its free edge,
+//! lifts it and holds it up.
 //!
-//! On a patient the flap was dissected off an organ: it looks as that does, and before it the surface is cut away.
+//! On a patient the flap was dissected off an organ: it looks as that does, and before it the
+//! surface is cut away.
 
 mod liver;
 mod script;
@@ -140,7 +142,8 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     Ok((common, Box::new(scene)))
 }
 
-/// Checks that the flap comes to rest on `organ` without being stretched by more than [`REST_STRETCH_MAX`].
+/// Checks that the flap comes to rest on `organ` without being stretched by more than
+/// [`REST_STRETCH_MAX`].
 fn check_lies(source: &Source, tissue: &TissueConfig, organ: &Organ) -> Result<(), ConfigError> {
     let Organ::Measured(ground) = organ else {
         return Ok(());
@@ -159,7 +162,8 @@ fn check_lies(source: &Source, tissue: &TissueConfig, organ: &Organ) -> Result<(
     Err(source.refused("tissue.edge_m", &at, &reason))
 }
 
-/// What the scene needs of a patient's organ: what the plateau covers and the way to it, cut away before the plateau's near side.
+/// What the scene needs of a patient's organ: what the plateau covers and the way to it, cut away
+/// before the plateau's near side.
 fn site(liver: &LiverShape, tissue: &TissueConfig) -> Site {
     let half_m = [0, 1].map(|axis| liver.low_m[axis].abs().max(liver.high_m[axis].abs()));
     Site {

@@ -1,4 +1,5 @@
-//! Facts about the retraction's scene: where the flap lies and what holds it, and that the drives feel it.
+//! Facts about the retraction's scene: where the flap lies and what holds it, and that the drives
+//! feel it.
 
 use hal::{ArmCommand, JointVector, TimeNs};
 use nalgebra::{Point3, Translation3};
@@ -118,7 +119,8 @@ fn the_state_of_the_flap_is_in_the_hash() {
     let other = untouched(&scene, 6);
     // Untouched flaps differ by nothing but the mark, which is no state.
     assert_eq!(other.state_hash(), untouched(&scene, 7).state_hash());
-    // A lighter flap hangs otherwise, with the same arms at the same place: nothing else in the world tells them apart.
+    // A lighter flap hangs otherwise, with the same arms at the same place: nothing else in the
+    // world tells them apart.
     scene.tissue.gravity_m_s2 *= 0.5;
     let lighter = untouched(&scene, 6);
     assert_eq!(other.measured(0, TimeNs(0)), lighter.measured(0, TimeNs(0)));

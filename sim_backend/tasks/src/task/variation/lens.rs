@@ -8,8 +8,9 @@ use trocar_world::rng::Rng;
 use super::Variation;
 use crate::task::CameraConfig;
 
-/// By which share the ray in the furthest corner of the pinhole's picture is moved outwards by the radial distortion of the second
-/// power: inwards mostly, as endoscopes do. `k1` follows from it and the field of view.
+/// By which share the ray in the furthest corner of the pinhole's picture is moved outwards by the
+/// radial distortion of the second power: inwards mostly, as endoscopes do. `k1` follows from it
+/// and the field of view.
 const RADIAL: [f64; 2] = [-0.12, 0.02];
 /// The same of the fourth power, `k2`.
 const RADIAL_FOURTH: [f64; 2] = [0.0, 0.03];
@@ -86,7 +87,8 @@ impl Lens {
         }
     }
 
-    /// What is left of it with the effects in `varied` alone, on `camera`, which is what it is without them.
+    /// What is left of it with the effects in `varied` alone, on `camera`, which is what it is
+    /// without them.
     pub(super) fn with(self, varied: &[Variation], camera: &CameraConfig) -> Self {
         let has = |effect| varied.contains(&Variation::Lens) || varied.contains(&effect);
         let or = |effect, drawn: f64, none: f64| if has(effect) { drawn } else { none };
@@ -142,7 +144,8 @@ mod tests {
     use super::*;
     use crate::task::TaskConfig;
 
-    /// For one seed an effect alone is what it is among all, and the rest is as if nothing were varied.
+    /// For one seed an effect alone is what it is among all, and the rest is as if nothing were
+    /// varied.
     #[test]
     fn a_single_effect_is_that_of_all_together() {
         let task = |varied: &[Variation]| {

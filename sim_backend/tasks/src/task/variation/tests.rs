@@ -130,7 +130,8 @@ fn light_changes_colours_alone() {
     }
 }
 
-/// Depth and ids go with the distorted picture, the plain one comes back, and the same seed sees the same.
+/// Depth and ids go with the distorted picture, the plain one comes back, and the same seed sees
+/// the same.
 #[test]
 fn lenses_are_the_episodes() {
     for name in DIFFERENT {
@@ -154,7 +155,8 @@ fn lenses_are_the_episodes() {
     }
 }
 
-/// A lens of the scene file dims its own camera's corners, and what is drawn takes its share of what that lets through.
+/// A lens of the scene file dims its own camera's corners, and what is drawn takes its share of
+/// what that lets through.
 #[test]
 fn the_scene_files_vignette_is_in_every_episode() {
     let plain = small("block-transfer");

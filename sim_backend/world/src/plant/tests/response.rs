@@ -1,8 +1,9 @@
 //! Steps of every drive against the arithmetic of the shipped gains, worked out here anew.
 //!
-//! With viscous friction b, a drive under its PD law is `inertia x'' + (d + b) x' + p (x - target) = 0`. In steps of h, velocity
-//! first, that is the recurrence `e'' = (1 + a - c) e' - a e` of the error e with `a = (1 - h d / J) / (1 + h b / J)` and
-//! `c = (h^2 p / J) / (1 + h b / J)`, which the two roots of its characteristic polynomial solve.
+//! With viscous friction b, a drive under its PD law is `inertia x'' + (d + b) x' + p (x - target) =
+//! 0`. In steps of h, velocity first, that is the recurrence `e'' = (1 + a - c) e' - a e` of the
+//! error e with `a = (1 - h d / J) / (1 + h b / J)` and `c = (h^2 p / J) / (1 + h b / J)`, which
+//! the two roots of its characteristic polynomial solve.
 
 use core::f64::consts::{PI, TAU};
 
@@ -102,7 +103,8 @@ fn reaches(response: &[f64], share: f64) -> f64 {
 fn every_drive_steps_as_its_recurrence_says() {
     for (axis, step) in STEP.into_iter().enumerate() {
         let found = stepped(&smooth(), axis, 400);
-        // The controller sees whole counts: half a count at the input is at most about half a count at the output.
+        // The controller sees whole counts: half a count at the input is at most about half a count
+        // at the output.
         let tolerance = quantum(axis) / step;
         for (millisecond, (found, expected)) in
             found.iter().zip(expected(&smooth(), axis, 400)).enumerate()
@@ -123,7 +125,8 @@ fn rise_and_overshoot_are_those_of_a_second_order_system() {
         let (p, d) = (ACTUATORS[axis].p, ACTUATORS[axis].d + config.viscous[axis]);
         let natural = (p / config.inertia[axis]).sqrt();
         let damping = 0.5 * d / (p * config.inertia[axis]).sqrt();
-        // Delay to one half and rise from a tenth to nine tenths, by the closed form of continuous time.
+        // Delay to one half and rise from a tenth to nine tenths, by the closed form of continuous
+        // time.
         let error = |time_s: f64| {
             let root = (1.0 - damping * damping).abs().sqrt();
             let (turn, share) = (natural * root * time_s, damping / root);

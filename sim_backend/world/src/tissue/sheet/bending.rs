@@ -1,11 +1,12 @@
 //! Hot path: bounded, no allocation, no I/O, no lock.
 //! Bending and twisting of the sheet: the energy of a Kirchhoff plate in finite differences.
 //!
-//! Curvatures are second differences of the nodes' positions as vectors: they turn with the sheet, and where the sheet
-//! keeps its lengths they point along its normal, so the force is linear in the positions and still valid for large
-//! rotations. Per area `D/2 (kuu² + kvv² + 2 nu kuu kvv + 2 (1 - nu) kuv²)`; along a free edge, where no second difference
-//! across it exists, the curvature across takes the value that leaves no moment, `kvv = -nu kuu`, which makes
-//! `D/2 (1 - nu²) kuu²`: a strip bends as a beam with `E I`.
+//! Curvatures are second differences of the nodes' positions as vectors: they turn with the sheet,
+//! and where the sheet keeps its lengths they point along its normal, so the force is linear in the
+//! positions and still valid for large rotations. Per area `D/2 (kuu² + kvv² + 2 nu kuu kvv + 2 (1 -
+//! nu) kuv²)`; along a free edge, where no second difference across it exists, the curvature across
+//! takes the value that leaves no moment, `kvv = -nu kuu`, which makes `D/2 (1 - nu²) kuu²`: a
+//! strip bends as a beam with `E I`.
 
 use nalgebra::Vector3;
 

@@ -1,22 +1,23 @@
-//! Hot path: bounded, no allocation, no I/O, no lock.
-//! Stretching and shearing of the sheet: bilinear cells with Green strain, plane stress, nodal quadrature.
+//! Hot path: bounded, no allocation, no I/O, no lock. Stretching and shearing of the sheet:
+//! bilinear cells with Green strain, plane stress, nodal quadrature.
 //!
-//! The four edge vectors of a cell, divided by their rest lengths, are the columns of the deformation gradient at its
-//! corners; with quadrature at the corners every strain is a dot product of two of them. A constant strain is exact, and
-//! no deformation but a rigid one is free.
+//! The four edge vectors of a cell, divided by their rest lengths, are the columns of the
+//! deformation gradient at its corners; with quadrature at the corners every strain is a dot
+//! product of two of them. A constant strain is exact, and no deformation but a rigid one is free.
 
 use nalgebra::Vector3;
 
 use super::Sheet;
 
-/// Edge vectors of a cell over their rest lengths: along u at low and high v, along v at low and high u.
+/// Edge vectors of a cell over their rest lengths: along u at low and high v, along v at low and
+/// high u.
 struct Edges {
     u: [Vector3<f64>; 2],
     v: [Vector3<f64>; 2],
 }
 
-/// Green strains of a cell: along the u edges, along the v edges, and the shear at the corner of u edge `k` and v edge
-/// `l` as `shear[k][l]`.
+/// Green strains of a cell: along the u edges, along the v edges, and the shear at the corner of u
+/// edge `k` and v edge `l` as `shear[k][l]`.
 struct Strains {
     u: [f64; 2],
     v: [f64; 2],
@@ -108,7 +109,8 @@ pub(super) fn add_forces(sheet: &mut Sheet) {
                 edges.add_rates(&rates, time_s, &mut e);
             }
             let largest = e.largest();
-            // Beyond the tearing strain the stress stays, so that no stretch can outrun the sub-step.
+            // Beyond the tearing strain the stress stays, so that no stretch can outrun the
+            // sub-step.
             let yielding = if largest > cap { cap / largest } else { 1.0 };
             let law = Law {
                 stretch: stretch * yielding,

@@ -1,8 +1,8 @@
-//! How long a millisecond of tissue takes on one core:
-//! `cargo test --release -p trocar-world --lib tissue::tests::bench -- --ignored --nocapture --test-threads 1`.
+//! How long a millisecond of tissue takes on one core: `cargo test --release -p trocar-world --lib
+//! tissue::tests::bench -- --ignored --nocapture --test-threads 1`.
 //!
-//! The time is what the kernel counts as this thread's own, so that neighbours on the machine count less; the best of
-//! several rounds counts, so that they hardly count at all.
+//! The time is what the kernel counts as this thread's own, so that neighbours on the machine count
+//! less; the best of several rounds counts, so that they hardly count at all.
 
 use super::{Puppet, flap_config, jaw, jaw_at, organ_ground};
 use crate::tissue::{JawInput, Tissue};

@@ -53,7 +53,8 @@ fn run(sheet: &mut Sheet, dt_s: f64, steps: usize) {
 
 #[test]
 fn free_sheet_keeps_its_momentum() {
-    // Damping of bending does not know a turning curved sheet from one that bends: with it a little spin is lost.
+    // Damping of bending does not know a turning curved sheet from one that bends: with it a little
+    // spin is lost.
     for (relaxation_s, spin_lost) in [(0.0, 1e-11), (5e-5, 1e-6)] {
         let mut sheet = tumbling(relaxation_s);
         let [linear, angular] = momentum(&sheet);
@@ -91,7 +92,8 @@ fn damping_only_takes_energy() {
     for step in 0..1000 {
         run(&mut sheet, 1e-3 / 8.0, 8);
         let now: f64 = sheet.energy_j().iter().sum();
-        // The integrator keeps an energy that differs from this one by a part in a thousand of what swings.
+        // The integrator keeps an energy that differs from this one by a part in a thousand of what
+        // swings.
         assert!(
             now <= last + 1e-6 * start,
             "step {step}: {last:e} to {now:e}"

@@ -30,7 +30,8 @@ fn the_jaw_carries_what_the_attached_edge_does_not() {
     let ground_m = puppet.tissue.report().ground_depth_m;
     let sheet = &mut puppet.tissue.sheet;
     sheet.load();
-    // Elastic forces sum to nothing, so what the attached nodes feel is what the edge carries, but for its sign.
+    // Elastic forces sum to nothing, so what the attached nodes feel is what the edge carries, but
+    // for its sign.
     let fixed = sheet
         .forces
         .iter()
@@ -42,8 +43,9 @@ fn the_jaw_carries_what_the_attached_edge_does_not() {
     assert!((felt - expected).norm() < 0.01 * felt.norm());
 }
 
-/// A jaw that points straight down over `ground`, its hinge turned by `yaw_rad` from the edge, its ends `above_m` over the
-/// face of the flap at a point `inward_m` further from the free edge than the mark.
+/// A jaw that points straight down over `ground`, its hinge turned by `yaw_rad` from the edge, its
+/// ends `above_m` over the face of the flap at a point `inward_m` further from the free edge than
+/// the mark.
 fn from_above(ground: Ground, inward_m: f64, yaw_rad: f64, above_m: f64) -> Puppet {
     let mut puppet = Puppet::new(&flap_config(), ground);
     let mark = puppet.tissue.mark_in_scene().translation.vector;
@@ -201,7 +203,8 @@ fn an_opening_jaw_lets_go() {
     );
 }
 
-/// What two jaws feel that take a floating flap by its free edge 24 mm apart and pull by 3 mm, once all is still.
+/// What two jaws feel that take a floating flap by its free edge 24 mm apart and pull by 3 mm, once
+/// all is still.
 fn pulled_apart() -> [JawReport; 2] {
     let mut config = flap_config();
     config.gravity_m_s2 = 0.0;

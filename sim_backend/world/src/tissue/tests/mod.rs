@@ -57,7 +57,8 @@ fn organ_ground() -> Ground {
     })
 }
 
-/// A jaw that hangs straight down with its ends at `ends_m`, opened by `opening_rad`, its hinge along x.
+/// A jaw that hangs straight down with its ends at `ends_m`, opened by `opening_rad`, its hinge
+/// along x.
 fn jaw_at(ends_m: [f64; 3], opening_rad: f64, grip_n: f64) -> JawInput {
     let hinge = Translation3::new(ends_m[0], ends_m[1], ends_m[2] + hal::psm::FINGER_M);
     jaw(&Pose::from_parts(hinge, down()), opening_rad, grip_n)
@@ -111,8 +112,9 @@ impl Puppet {
         Self::at_edge_over(organ_ground(), config, over_m, aside_m)
     }
 
-    /// A flap over `ground` with an open jaw that lies flat and points to the free edge from outside, its fingers above
-    /// and below; its ends reach `over_m` past the edge of the resting flap at the mark, `aside_m` along the edge.
+    /// A flap over `ground` with an open jaw that lies flat and points to the free edge from
+    /// outside, its fingers above and below; its ends reach `over_m` past the edge of the resting
+    /// flap at the mark, `aside_m` along the edge.
     fn at_edge_over(ground: Ground, config: &TissueConfig, over_m: f64, aside_m: f64) -> Self {
         let mut puppet = Self::new(config, ground);
         let mark = puppet.tissue.mark_in_scene().translation.vector;

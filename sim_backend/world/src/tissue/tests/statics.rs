@@ -116,7 +116,8 @@ fn cantilever_sags_by_rho_g_a_l_to_the_4_over_8_e_i() {
     assert!(coarse.abs() < 0.02 && fine.abs() < 0.01, "{coarse} {fine}");
     let several = error(20, 2, 0.003, 0.0);
     assert!(several.abs() < 0.01, "{several}");
-    // With its Poisson ratio a bar several cells wide curls across, but not at the wall, where it is stiffer for that.
+    // With its Poisson ratio a bar several cells wide curls across, but not at the wall, where it
+    // is stiffer for that.
     let curling = error(20, 2, 0.002, 0.45);
     assert!((-0.05..0.0).contains(&curling), "{curling}");
 }

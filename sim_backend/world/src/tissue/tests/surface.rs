@@ -100,7 +100,8 @@ fn mark_lies_on_the_upper_face_and_bends_with_it() {
     for vertex in 0..vertices {
         let at = local(&patch, vertex);
         assert!(at.coords.xy().norm() < 1.01 * radius_m, "{at}");
-        // A tenth of a millimetre in front of the face, which bends by less than that over the mark.
+        // A tenth of a millimetre in front of the face, which bends by less than that over the
+        // mark.
         assert!((0.000_02..0.000_3).contains(&at.z), "{at}");
     }
     for triangle in patch.mesh().indices.chunks_exact(3) {

@@ -5,8 +5,8 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use super::{OPEN_RAD, Puppet, flap_config, grasped, jaw};
 use crate::rng::Rng;
 
-/// Throws the jaw about at `speed_m_s` in a new direction every 40 ms for 2 s; the largest stretch on the way, and the
-/// time for which the tissue was held, ms.
+/// Throws the jaw about at `speed_m_s` in a new direction every 40 ms for 2 s; the largest stretch
+/// on the way, and the time for which the tissue was held, ms.
 fn throw_about(puppet: &mut Puppet, speed_m_s: f64, seed: u64) -> (f64, usize) {
     let mut rng = Rng::new(seed);
     let home = puppet.tip;
@@ -47,7 +47,8 @@ fn violent_motion_leaves_a_sound_flap() {
         let (stretch, held) = throw_about(&mut puppet, speed_m_s, seed);
         puppet.wait(4000);
         let report = *puppet.tissue.report();
-        // It may have been thrown over its attached edge, but it lies still, no part stretched, crumpled or turned over.
+        // It may have been thrown over its attached edge, but it lies still, no part stretched,
+        // crumpled or turned over.
         assert!(
             report.speed_m_s < 0.01 && report.stretch < 0.02,
             "{speed_m_s} m/s: {stretch} {held} {report:?}"

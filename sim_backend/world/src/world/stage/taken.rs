@@ -17,7 +17,8 @@ pub(in crate::world) struct Touch {
     pub(in crate::world) force_n: f64,
     /// Deepest overlap, m.
     pub(in crate::world) penetration_m: f64,
-    /// Sum of the contact points weighed by their forces, N m; the force's share is the middle of the touch.
+    /// Sum of the contact points weighed by their forces, N m; the force's share is the middle of
+    /// the touch.
     weighed_points: Vector3<f64>,
 }
 

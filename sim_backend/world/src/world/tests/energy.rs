@@ -96,7 +96,8 @@ fn a_needle_that_bounces_never_has_more_energy_than_before() {
                     still_since = step;
                 }
             }
-            // What contacts store in a bounce and give back: half of what the judge lets pass, a sixteenth of the fall.
+            // What contacts store in a bounce and give back: half of what the judge lets pass, a
+            // sixteenth of the fall.
             assert!(
                 gained_j < 2.5e-5 && gained_j < fall_j / 16.0,
                 "{task}, {tilt}: {gained_j} J of {fall_j}"

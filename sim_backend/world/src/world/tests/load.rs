@@ -1,5 +1,6 @@
-//! Facts about contacts under load: what an instrument presses with all that its drives give goes nowhere but where stated
-//! stiffness lets it, and what was pressed lies there afterwards as if nothing had been.
+//! Facts about contacts under load: what an instrument presses with all that its drives give goes
+//! nowhere but where stated stiffness lets it, and what was pressed lies there afterwards as if
+//! nothing had been.
 
 use hal::psm::EFFORT_MAX;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -14,7 +15,8 @@ use hal::{ArmCommand, JointVector, Pose, TimeNs};
 
 /// What hard contacts may give way, m.
 const GIVE_M: f64 = 1e-4;
-/// How far below what it meets the instrument is told to go, m: far more than its drives can push through.
+/// How far below what it meets the instrument is told to go, m: far more than its drives can push
+/// through.
 const BEYOND_M: f64 = 0.02;
 
 const BLOCK: BlockShape = BlockShape {
@@ -47,7 +49,8 @@ fn block(in_scene: Pose) -> RigidBody {
     }
 }
 
-/// Fingers pointing down, open, with their ends at `end_m`, over `thing` on `solids`, with the physics of `task`.
+/// Fingers pointing down, open, with their ends at `end_m`, over `thing` on `solids`, with the
+/// physics of `task`.
 fn over(task: &str, thing: RigidBody, solids: Vec<Shape>, end_m: f64) -> Bench {
     let scenery = Scenery {
         things: vec![thing],
@@ -75,8 +78,8 @@ fn over(task: &str, thing: RigidBody, solids: Vec<Shape>, end_m: f64) -> Bench {
     }
 }
 
-/// The worst of a press: overlaps with the ground and in the fingers, m, the ground's force on the thing, N, and the greatest
-/// speed, m/s.
+/// The worst of a press: overlaps with the ground and in the fingers, m, the ground's force on the
+/// thing, N, and the greatest speed, m/s.
 #[derive(Debug, Default)]
 struct Worst {
     sunk_m: f64,
@@ -108,13 +111,15 @@ fn press(bench: &mut Bench, joint: usize, way: f64) -> Worst {
     worst
 }
 
-/// What the insertion's drive pushes with at rest, N, at least: its dry friction may hold a part back.
+/// What the insertion's drive pushes with at rest, N, at least: its dry friction may hold a part
+/// back.
 fn insertion_n() -> f64 {
     let plant = shipped::world("block-transfer").plant;
     EFFORT_MAX[2] - 2.0 * plant.coulomb[2]
 }
 
-/// Presses the insertion on a thing, checks that it holds, lets it go, and checks that the thing lies where it lay.
+/// Presses the insertion on a thing, checks that it holds, lets it go, and checks that the thing
+/// lies where it lay.
 fn stands_a_press(mut bench: Bench, rest: &Pose) {
     let worst = press(&mut bench, 2, BEYOND_M);
     let pushed_n = bench.world.thing_ground_force_n(0);
@@ -183,8 +188,8 @@ fn the_bare_instrument_does_not_sink_into_the_board() {
 
 #[test]
 fn a_needle_sinks_into_the_organ_as_its_stiffness_says() {
-    // Closed fingers press the middle of the arc until the tissue holds them: more of the drive's force goes into the tissue
-    // beside the wire.
+    // Closed fingers press the middle of the arc until the tissue holds them: more of the drive's
+    // force goes into the tissue beside the wire.
     for way_m in [0.003, 0.006, BEYOND_M] {
         let mut bench = Bench::new(0.01, 0.0, HALF_CIRCLE.wire_radius_m + 1e-4);
         bench.jaw(0.0);
@@ -241,8 +246,9 @@ fn bar(in_scene: Pose) -> RigidBody {
     }
 }
 
-/// What the jaw's drive gives while it closes on nothing, J: its effort by the angle that a held thing keeps it open. What leaves
-/// the jaw under load is driven by it, and by the instrument that moves on; it takes a part.
+/// What the jaw's drive gives while it closes on nothing, J: its effort by the angle that a held
+/// thing keeps it open. What leaves the jaw under load is driven by it, and by the instrument that
+/// moves on; it takes a part.
 const JAW_J: f64 = 0.04 * 0.16;
 
 /// A box to the side of a held thing: `[lowest corner, highest corner]`.
@@ -291,7 +297,8 @@ fn stands_a_push(
 
 #[test]
 fn a_bar_pushed_against_a_wall_or_a_peg_gives_way_nowhere() {
-    // Held at its upper end, and led against it with all the torque of yaw or pitch. Across the jaw it is levered open.
+    // Held at its upper end, and led against it with all the torque of yaw or pitch. Across the jaw
+    // it is levered open.
     for (joint, way, least_n, beside) in [
         (
             0,
@@ -340,7 +347,8 @@ fn a_bar_pushed_against_a_wall_or_a_peg_gives_way_nowhere() {
 
 #[test]
 fn a_needle_in_the_jaw_gives_way_nowhere_at_the_lip() {
-    // Held at the middle of its arc, its end is led against the lip of the suture pad with all the torque of pitch.
+    // Held at the middle of its arc, its end is led against the lip of the suture pad with all the
+    // torque of pitch.
     let radius_m = HALF_CIRCLE.wire_radius_m;
     let front_m = HALF_CIRCLE.arc_radius_m + radius_m + 0.003;
     for (way, low_m) in [(0.15, -front_m - 0.005), (-0.15, front_m)] {

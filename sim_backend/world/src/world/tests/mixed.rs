@@ -49,7 +49,8 @@ fn organ_with(solids: Vec<Shape>) -> Ground {
     Ground::OrganWithSolids(soft, solids)
 }
 
-/// A needle lies on the organ as if no solid stood there, and on a solid that is under it, which does not give way.
+/// A needle lies on the organ as if no solid stood there, and on a solid that is under it, which
+/// does not give way.
 #[test]
 fn a_needle_lies_on_the_organ_and_on_what_stands_on_it() {
     let above_m = BACK_MUSCLE.height_m(0.0, 0.0) + 0.003;

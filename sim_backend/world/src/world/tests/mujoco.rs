@@ -1,7 +1,8 @@
-//! The drives and the chain against MuJoCo's model of them, by the numbers in `tests/golden/mujoco_chain.toml`.
+//! The drives and the chain against MuJoCo's model of them, by the numbers in
+//! `tests/golden/mujoco_chain.toml`.
 //!
-//! `tests/scripts/mujoco_chain.py` says what that model is and wrote the file. With `TROCAR_CHAIN_DUMP` set, the test writes
-//! what the script needs to that path first.
+//! `tests/scripts/mujoco_chain.py` says what that model is and wrote the file. With
+//! `TROCAR_CHAIN_DUMP` set, the test writes what the script needs to that path first.
 
 mod file;
 

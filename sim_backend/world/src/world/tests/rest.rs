@@ -9,8 +9,9 @@ use super::energy::NEEDLE_TASKS;
 use super::{Bench, HALF_CIRCLE, OPEN, REACH_M, shake};
 use crate::world::contact::{Contact, Side};
 
-/// The needle held at the middle of its arc and, for a second, with friction `friction` only: how far that point moves in the
-/// jaws, m, how far the needle turns in them, rad, and the weaker finger's force, N.
+/// The needle held at the middle of its arc and, for a second, with friction `friction` only: how
+/// far that point moves in the jaws, m, how far the needle turns in them, rad, and the weaker
+/// finger's force, N.
 fn held_by(friction: f64) -> (f64, f64, f64) {
     let mut bench = Bench::lifted(-0.15);
     let held = bench.needle_in_tip();
@@ -29,9 +30,10 @@ fn held_by(friction: f64) -> (f64, f64, f64) {
 /// A wire slips out of the wedge of the fingers below the angle of friction.
 #[test]
 fn wire_slips_out_below_the_friction_angle() {
-    // The hinge is a finger's length away, so the faces stand at the angle at which they touch the wire on both sides, and
-    // drive it out unless friction exceeds its tangent. Besides, the needle's weight pulls, and turns it about the wire, since
-    // its centre of mass is beside it; half of both falls on each finger.
+    // The hinge is a finger's length away, so the faces stand at the angle at which they touch the
+    // wire on both sides, and drive it out unless friction exceeds its tangent. Besides, the
+    // needle's weight pulls, and turns it about the wire, since its centre of mass is beside it;
+    // half of both falls on each finger.
     let weight_n = HALF_CIRCLE.mass_kg * 9.81;
     let beside_m = HALF_CIRCLE.arc_radius_m - HALF_CIRCLE.mass_properties().centre.x;
     let pull_n = 0.5 * weight_n * (1.0 + beside_m / HALF_CIRCLE.wire_radius_m);
@@ -73,7 +75,8 @@ fn wire_on_a_finger_has_two_contacts() {
 #[test]
 fn shaking_turns_a_held_needle_as_little_as_published() {
     for task in NEEDLE_TASKS {
-        // The best free grip on record for this engine slips 0.22 mm and turns 0.2 degrees; its usual one 2.9 degrees.
+        // The best free grip on record for this engine slips 0.22 mm and turns 0.2 degrees; its
+        // usual one 2.9 degrees.
         let mut bench = Bench::lifted_in(task, -0.15);
         let grasped = Point3::new(HALF_CIRCLE.arc_radius_m, 0.0, 0.0);
         let (slip_m, turn) = shake(&mut bench, &grasped);

@@ -77,7 +77,8 @@ fn raw_folders_are_read_with_words_recoveries_and_rate() {
     assert_eq!((summary.episodes, summary.left_out), (1, 1));
 }
 
-/// Importing a folder that `spoil` has changed must fail with every part of `expected`, and leave nothing.
+/// Importing a folder that `spoil` has changed must fail with every part of `expected`, and leave
+/// nothing.
 fn spoilt(name: &str, spoil: impl Fn(&Path), expected: &[&str]) {
     let folder = Folder::new(name);
     let tissue = folder.0.join("raw/tissue_3");

@@ -3,7 +3,8 @@
 use super::made::{Folder, Made};
 use super::*;
 
-/// Importing what `spoil` made of a good dataset must fail with every part of `expected`, and leave nothing.
+/// Importing what `spoil` made of a good dataset must fail with every part of `expected`, and leave
+/// nothing.
 fn spoilt(
     name: &str,
     spoil: impl Fn(&mut Made),

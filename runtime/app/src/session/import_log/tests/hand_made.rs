@@ -74,7 +74,8 @@ impl Default for HandMade {
     }
 }
 
-/// Stamps of `rate_hz` over so many milliseconds, ns, each up to 4 ms early or late, and never halfway between two ticks.
+/// Stamps of `rate_hz` over so many milliseconds, ns, each up to 4 ms early or late, and never
+/// halfway between two ticks.
 pub(super) fn jittered(rate_hz: u64, long_ms: u64, from: u64) -> Vec<u64> {
     let count = rate_hz * long_ms / 1000;
     let stamps = (0..count).map(|index| {

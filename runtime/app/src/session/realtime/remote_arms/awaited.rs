@@ -1,4 +1,5 @@
-//! What a run of arms outside of this process waits for before any of them gets torque: named on the terminal within a second, and not for ever.
+//! What a run of arms outside of this process waits for before any of them gets torque: named on
+//! the terminal within a second, and not for ever.
 
 use trocar_tasks::scene::SceneSnapshot;
 use trocar_topics::{CameraTopic, FrameSubscriber, SceneReport, Subscriber, TopicNode, Verdict};
@@ -33,7 +34,8 @@ const POLL_NS: u64 = 1_000_000;
 /// Prints a line on the terminal, from any thread.
 pub type PrintLine<'a> = &'a (dyn Fn(&str) + Sync);
 
-/// Looks until there is something, for `limit_ns` at most; `lacking` says what was not there, and what would help.
+/// Looks until there is something, for `limit_ns` at most; `lacking` says what was not there, and
+/// what would help.
 pub(super) fn await_it<T>(
     what: &str,
     lacking: &str,
@@ -73,8 +75,8 @@ pub(super) fn world(
     await_it(&what, &lacking, WORLD_NS_MAX, say, || Ok(scene.newest()?))
 }
 
-/// Waits until it is known where everything is in the world, whose state was seen on `topics`, for pages to see it; nothing of a world that does
-/// not say so.
+/// Waits until it is known where everything is in the world, whose state was seen on `topics`, for
+/// pages to see it; nothing of a world that does not say so.
 pub(super) fn start(
     world: &WorldTopics,
     topics: &str,
@@ -94,8 +96,8 @@ pub(super) fn start(
     }
 }
 
-/// Waits until the world reports that its drives are not operational, as ours are not once they are brought up: those that are belong to
-/// another master.
+/// Waits until the world reports that its drives are not operational, as ours are not once they are
+/// brought up: those that are belong to another master.
 pub(super) fn stopped(
     scene: &Subscriber<SceneReport>,
     clock: MonotonicClock,
@@ -178,8 +180,9 @@ pub(super) fn still_there(
     Ok(())
 }
 
-/// Waits for a frame of now of each of the cameras `wanted`, which must have the size that is asked for, if any is, on `topics`; the `remedy` for
-/// one that shows none names it NAME. Any `clock` will do. `meanwhile` is done again and again.
+/// Waits for a frame of now of each of the cameras `wanted`, which must have the size that is asked
+/// for, if any is, on `topics`; the `remedy` for one that shows none names it NAME. Any `clock`
+/// will do. `meanwhile` is done again and again.
 pub(in super::super) fn cameras(
     node: &TopicNode,
     wanted: &[SizedCamera],

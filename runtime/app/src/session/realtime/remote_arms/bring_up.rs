@@ -1,5 +1,5 @@
-//! What comes before the first SYNC: what is wrong without any bus, the world, and the way of the drives to where they may be
-//! enabled.
+//! What comes before the first SYNC: what is wrong without any bus, the world, and the way of the
+//! drives to where they may be enabled.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -23,7 +23,8 @@ const POLL_NS: u64 = 1_000_000;
 /// An arm that has its references and no torque yet.
 pub(super) type ReadyArm = Homed<SocketBus<CanClock>>;
 
-/// What can be known to be wrong before anything is opened: `whose` (a task, a file) has `count` arms.
+/// What can be known to be wrong before anything is opened: `whose` (a task, a file) has `count`
+/// arms.
 pub(super) fn check(whose: &str, count: usize, can: &CanConfig) -> Result<(), SessionError> {
     if can.arms.len() < count {
         return Err(SessionError::BadArgument(format!(
@@ -76,7 +77,8 @@ pub(super) fn check_world(
 /// Time between two lines about the same arm, ns.
 const LINES_NS: u64 = 1_000_000_000;
 
-/// Leads the drives of all arms to where they may be enabled, one arm after the other, and says what it is at if that takes long.
+/// Leads the drives of all arms to where they may be enabled, one arm after the other, and says
+/// what it is at if that takes long.
 pub(super) fn bring_up(
     can: &CanOptions,
     buses: Vec<SocketBus<CanClock>>,
@@ -217,7 +219,8 @@ mod tests {
         }
     }
 
-    /// What the two processes of a run over CAN were told differently is refused before any drive has torque.
+    /// What the two processes of a run over CAN were told differently is refused before any drive
+    /// has torque.
     #[test]
     fn a_world_that_was_configured_otherwise_is_refused() {
         let as_shipped = SceneOptions::default();

@@ -50,7 +50,8 @@ mod tests {
     use super::*;
     use crate::session::scratch::Scratch;
 
-    /// A run of ten seconds says twenty times how its buses are, however often it is asked; one without buses never.
+    /// A run of ten seconds says twenty times how its buses are, however often it is asked; one
+    /// without buses never.
     #[test]
     fn buses_are_logged_twice_a_second() {
         assert!(BusLog::of(&(Vec::new(), 0)).is_none());

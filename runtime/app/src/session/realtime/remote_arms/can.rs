@@ -1,5 +1,5 @@
-//! Arms whose drives are on CAN. The bring-up ends in the control thread, which must not let the SYNC stop from then on. A fault of any drive or bus
-//! stops all drives of its arm.
+//! Arms whose drives are on CAN. The bring-up ends in the control thread, which must not let the
+//! SYNC stop from then on. A fault of any drive or bus stops all drives of its arm.
 
 use hal::{PerArm, TICK_NS};
 use trocar_canopen::master::{BringUpError, Permission, enable_together};
@@ -126,8 +126,8 @@ mod tests {
     use super::{ArmLink, CanOptions};
     use crate::session::{PolicyChoice, Setup};
 
-    /// Two arms on one bus have a cycle whose lag the margins don't hold, until they are what the warnings ask for; one arm at the shipped
-    /// cycle has none to tell of.
+    /// Two arms on one bus have a cycle whose lag the margins don't hold, until they are what the
+    /// warnings ask for; one arm at the shipped cycle has none to tell of.
     #[test]
     fn a_cycle_whose_lag_margins_do_not_hold_is_named() {
         let warnings = |task: &str, cycle: &str, margins: Option<(f64, f64)>| {

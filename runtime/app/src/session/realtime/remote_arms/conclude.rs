@@ -52,7 +52,8 @@ impl Seen for RobotEnd {
     }
 }
 
-/// Closes the log of a run that was marked at these hands, if it was, whatever happened, and sums up.
+/// Closes the log of a run that was marked at these hands, if it was, whatever happened, and sums
+/// up.
 pub(super) fn conclude<S: Arms, T: Seen, L: ArmLink>(
     plan: &Plan<S>,
     ends: Ends<L::Rig, T>,

@@ -7,8 +7,8 @@ use hal::{PerArm, arm_names};
 use trocar_log::Level;
 
 impl CanStatus {
-    /// What is new since `before`, for a person. A fault ends the motion; a controller that is error passive still works, and the
-    /// arm goes on.
+    /// What is new since `before`, for a person. A fault ends the motion; a controller that is
+    /// error passive still works, and the arm goes on.
     fn news(&self, before: &Self) -> Vec<(Level, String)> {
         let passive = self.passives.iter().zip(before.passives).enumerate();
         let passive = passive.filter(|(_, (now, then))| **now > *then);

@@ -1,4 +1,5 @@
-//! A real-time run of arms outside of this process: the same controller, with drives on CAN or whoever is on the topics as its arms.
+//! A real-time run of arms outside of this process: the same controller, with drives on CAN or
+//! whoever is on the topics as its arms.
 //!
 //! ```text
 //!  arms <── set-points, measurements ──> control thread (1 kHz, SCHED_FIFO) ── ticks ──> log thread
@@ -8,12 +9,15 @@
 //!      └── frames ────────────────────────────────────────────────────▲
 //! ```
 //!
-//! Of a task, the world is in another process (`trocar drives`, `trocar simulator`), which shows its scene and its verdict: [`run_on_can`], [`run_on_topics`]. A robot has
-//! none: [`run_robot_on_can`] and [`run_robot_on_topics`] need limits, arms and, if its policy looks at some, cameras on topics, whoever publishes them.
-//! The observing thread also hands what comes to the pages of a console.
+//! Of a task, the world is in another process (`trocar drives`, `trocar simulator`), which shows
+//! its scene and its verdict: [`run_on_can`], [`run_on_topics`]. A robot has none:
+//! [`run_robot_on_can`] and [`run_robot_on_topics`] need limits, arms and, if its policy looks at
+//! some, cameras on topics, whoever publishes them. The observing thread also hands what comes to
+//! the pages of a console.
 //!
-//! What is waited for before the arms get torque is named on the terminal, and not for ever. How they are reached is an [`ArmLink`]: [`can`] or
-//! [`topics`]. A fault of any ends the run; nothing enables them again but a new run.
+//! What is waited for before the arms get torque is named on the terminal, and not for ever. How
+//! they are reached is an [`ArmLink`]: [`can`] or [`topics`]. A fault of any ends the run; nothing
+//! enables them again but a new run.
 
 mod awaited;
 mod bring_up;
@@ -62,7 +66,8 @@ pub use options::CanOptions;
 pub(super) use scene_thread::{arm_reports, logged, seen_at};
 pub use topics::TopicArms;
 
-/// How far a frame may be from the instant of an observation where cameras have clocks of their own, ms: a policy step.
+/// How far a frame may be from the instant of an observation where cameras have clocks of their
+/// own, ms: a policy step.
 pub(super) const FRAMES_WITHIN_MS: u64 = 40;
 
 /// How a run reaches arms outside of its process.
@@ -120,7 +125,8 @@ pub(super) trait ArmLink: Sync {
         Ok(())
     }
 
-    /// Gives the arms torque, where that is not the controller's to give, as soon as `signals` allow it: the rig of the control thread, which calls this.
+    /// Gives the arms torque, where that is not the controller's to give, as soon as `signals`
+    /// allow it: the rig of the control thread, which calls this.
     ///
     /// # Errors
     /// [`SessionError`]; [`SessionError::Interrupted`] if the run is over before.
@@ -135,7 +141,8 @@ pub(super) trait ArmLink: Sync {
     /// Leaves the arms, which rest, without torque.
     fn take_down(rig: &mut Self::Rig, clock: MonotonicClock);
 
-    /// What the arms or the way to them report, if something ended the run that the controller does not know.
+    /// What the arms or the way to them report, if something ended the run that the controller does
+    /// not know.
     fn fault(rig: &Self::Rig) -> Option<String>;
 
     /// What the result says of drives and buses.
@@ -153,7 +160,8 @@ struct Begun<'a, L: ArmLink> {
     say: PrintLine<'a>,
 }
 
-/// Opens the way to the arms, says what a person should know of them, and joins the topics of their world, or of their cameras.
+/// Opens the way to the arms, says what a person should know of them, and joins the topics of their
+/// world, or of their cameras.
 fn begin<'a, L: ArmLink>(
     robot: &Robot,
     link: &'a L,
@@ -177,7 +185,8 @@ fn begin<'a, L: ArmLink>(
 
 /// Runs one episode with the task's arms on CAN.
 ///
-/// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason `interrupted`.
+/// SIGINT, SIGTERM and SIGHUP bring the arms to rest and end the run as failed, with the reason
+/// `interrupted`.
 ///
 /// # Errors
 /// From the configuration, the buses and their drives, the world's topics, the policy or the log.
@@ -264,7 +273,8 @@ fn run_task<L: ArmLink>(
     })
 }
 
-/// Runs a robot on CAN: no task, no scene and no verdict, until the time is up, a signal comes, or a fault.
+/// Runs a robot on CAN: no task, no scene and no verdict, until the time is up, a signal comes, or
+/// a fault.
 ///
 /// SIGINT, SIGTERM and SIGHUP bring the arms to rest.
 ///
@@ -333,7 +343,8 @@ struct Watching {
     by_hand: Option<ByHand>,
     /// For a policy process, one an arm.
     reports: Vec<Publisher<ArmReport>>,
-    /// Cameras that were waited for, and how many of them the policy, or an operator, looks through: the first.
+    /// Cameras that were waited for, and how many of them the policy, or an operator, looks
+    /// through: the first.
     cameras: (Vec<Camera>, usize),
     /// What pages and log are told.
     pages: RigPages,
@@ -350,8 +361,8 @@ struct Views<'a> {
 }
 
 impl<L: ArmLink> Begun<'_, L> {
-    /// Waits for the policy, its cameras and the others of `views`, brings up the arms, and runs all threads; `watch` makes the one
-    /// that observes the arms.
+    /// Waits for the policy, its cameras and the others of `views`, brings up the arms, and runs
+    /// all threads; `watch` makes the one that observes the arms.
     fn run<S: Arms, T: Seen + Send, F: FnOnce() -> Result<T, SessionError> + Send>(
         self,
         plan: &Plan<S>,

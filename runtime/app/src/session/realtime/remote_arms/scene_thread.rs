@@ -1,5 +1,5 @@
-//! The world of arms in another process: its scene for the local policies, the arms' states for a policy
-//! process, its frames for the log, all of it for the console's pages, and its verdict.
+//! The world of arms in another process: its scene for the local policies, the arms' states for a
+//! policy process, its frames for the log, all of it for the console's pages, and its verdict.
 
 use std::sync::Arc;
 
@@ -22,14 +22,16 @@ use crate::session::source::{Query, seen_arm};
 use crate::session::summary::TissueSummary;
 use crate::session::world_report::{scene_state, tissue};
 
-/// Polling period for the control thread's news, which wakes nobody, ns; what the world shows every 40 ms does.
+/// Polling period for the control thread's news, which wakes nobody, ns; what the world shows every
+/// 40 ms does.
 const POLL_NS: u64 = 3_000_000;
 
 /// A world that says nothing for this long is gone, ns.
 const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
-/// Our drives are a world's own if these are operational this long after the thread has begun, which is when ours are checked and started, and
-/// its episode begins this long after they are enabled, at the latest, ns.
+/// Our drives are a world's own if these are operational this long after the thread has begun,
+/// which is when ours are checked and started, and its episode begins this long after they are
+/// enabled, at the latest, ns.
 const BEGIN_NS_MAX: u64 = 3_000_000_000;
 
 /// The thread before it runs.
@@ -112,8 +114,8 @@ impl Awaited {
         }
     }
 
-    /// Names what is waited for, once it takes long; gives why it is given up, if it is. The drives of the world may be `operational`,
-    /// and ours `enabled`.
+    /// Names what is waited for, once it takes long; gives why it is given up, if it is. The drives
+    /// of the world may be `operational`, and ours `enabled`.
     fn look(
         &mut self,
         now: TimeNs,
@@ -145,7 +147,8 @@ impl Awaited {
     }
 }
 
-/// Why a world with this verdict is not that of our drives, which are not enabled yet and may be `operational`.
+/// Why a world with this verdict is not that of our drives, which are not enabled yet and may be
+/// `operational`.
 fn too_early(verdict: Verdict, operational: bool) -> Option<&'static str> {
     match verdict {
         Verdict::Waiting | Verdict::Operational => None,
@@ -158,7 +161,8 @@ fn too_early(verdict: Verdict, operational: bool) -> Option<&'static str> {
 }
 
 impl SceneThread<'_> {
-    /// Runs until the control thread has stopped; says so when the task has its verdict or the world is gone.
+    /// Runs until the control thread has stopped; says so when the task has its verdict or the
+    /// world is gone.
     pub(super) fn run(mut self) -> Result<SceneEnd, SessionError> {
         let signals = Arc::clone(&self.seen.signals);
         let _ends = EndRunOnDrop(&signals);

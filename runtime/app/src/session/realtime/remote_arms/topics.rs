@@ -1,5 +1,6 @@
-//! Arms that another process leads, over topics: a simulator's, or a robot's that no drive on CAN turns. The control thread touches no topic: one
-//! thread beside it takes feedback, and one sends set-points.
+//! Arms that another process leads, over topics: a simulator's, or a robot's that no drive on CAN
+//! turns. The control thread touches no topic: one thread beside it takes feedback, and one sends
+//! set-points.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -38,10 +39,12 @@ const SETPOINTS: usize = 64;
 /// The longest time between two looks of either thread, ns.
 const LOOK_NS: u64 = 10_000_000;
 
-/// How long the last set-points, which leave the arms without torque, stay readable, ns: they lie in this process's memory.
+/// How long the last set-points, which leave the arms without torque, stay readable, ns: they lie
+/// in this process's memory.
 const LINGER_NS: u64 = 200_000_000;
 
-/// What the threads beside the control thread ask of the system: they come before all that is not real time, and after it, on any core.
+/// What the threads beside the control thread ask of the system: they come before all that is not
+/// real time, and after it, on any core.
 const BESIDE: RtOptions = RtOptions {
     priority: Some(70),
     cpu: None,
@@ -52,7 +55,8 @@ const BESIDE: RtOptions = RtOptions {
 /// Where the arms are: whoever is on these topics.
 #[derive(Clone, Debug)]
 pub struct TopicArms {
-    /// The name of the topics of the world, or of the cameras; those of the arms are on [`arms_of`] it.
+    /// The name of the topics of the world, or of the cameras; those of the arms are on [`arms_of`]
+    /// it.
     pub topics: String,
 }
 
@@ -202,7 +206,8 @@ pub(in super::super) struct Linked {
 }
 
 impl Linked {
-    /// Starts both threads, which inherit nothing of a control thread. What was `heard` of each arm is its first measurement, and ages as any.
+    /// Starts both threads, which inherit nothing of a control thread. What was `heard` of each arm
+    /// is its first measurement, and ages as any.
     fn start(
         ports: Ports,
         heard: &[ArmFeedback],
@@ -249,7 +254,8 @@ impl Linked {
     }
 }
 
-/// Held by either thread: an end of it before its time is a lost measurement for the control thread.
+/// Held by either thread: an end of it before its time is a lost measurement for the control
+/// thread.
 struct Breaks(Arc<AtomicBool>);
 
 impl Drop for Breaks {
@@ -311,7 +317,8 @@ fn take_feedback(
     Ok(())
 }
 
-/// Sends set-points as they come. In the end the arms, which rest, lose torque, also after a fault, with which they would hold.
+/// Sends set-points as they come. In the end the arms, which rest, lose torque, also after a fault,
+/// with which they would hold.
 fn send_setpoints(
     topics: &[Publisher<ArmSetpoint>],
     mut from: Consumer<PerArm<Setpoint>>,

@@ -1,5 +1,7 @@
-//! A robot in real time: limits and a policy, neither task nor verdict. Its arms are behind anyone's rig ([`run_rig`], [`run_rig_seeing`]), on CAN
-//! ([`run_robot_on_can`](super::run_robot_on_can)) or in another process ([`run_robot_on_topics`](super::run_robot_on_topics)).
+//! A robot in real time: limits and a policy, neither task nor verdict. Its arms are behind
+//! anyone's rig ([`run_rig`], [`run_rig_seeing`]), on CAN
+//! ([`run_robot_on_can`](super::run_robot_on_can)) or in another process
+//! ([`run_robot_on_topics`](super::run_robot_on_topics)).
 
 mod own_rig;
 mod queries;

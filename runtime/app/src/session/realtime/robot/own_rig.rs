@@ -1,4 +1,5 @@
-//! A robot behind anyone's rig, in real time: limits, a policy of this process and a log; no bus, no task and no verdict.
+//! A robot behind anyone's rig, in real time: limits, a policy of this process and a log; no bus,
+//! no task and no verdict.
 
 use std::sync::Arc;
 
@@ -20,7 +21,8 @@ use crate::session::run::RunResult;
 use crate::session::source::ChunkSource;
 use crate::session::{Plan, Robot, SessionError};
 
-/// The cameras of a robot behind a rig of one's own: their topics, on which each has shown a frame. None by default.
+/// The cameras of a robot behind a rig of one's own: their topics, on which each has shown a frame.
+/// None by default.
 #[derive(Debug, Default)]
 pub struct RigCameras {
     node: Option<TopicNode>,
@@ -28,12 +30,15 @@ pub struct RigCameras {
 }
 
 impl RigCameras {
-    /// Waits on the topics of this name for a frame of each camera that `source` looks through, and of the others of `asked`. Whoever publishes
-    /// them ([`CameraTopic::publisher`](trocar_topics::CameraTopic::publisher)) may be in this process or another; `say` tells what is waited for.
+    /// Waits on the topics of this name for a frame of each camera that `source` looks through, and
+    /// of the others of `asked`. Whoever publishes them
+    /// ([`CameraTopic::publisher`](trocar_topics::CameraTopic::publisher)) may be in this process
+    /// or another; `say` tells what is waited for.
     ///
     /// # Errors
-    /// [`SessionError::RealTime`] with the name of a camera that shows no frame of now within 10 s, [`SessionError::BadArgument`] with that of one
-    /// whose frames have another size than the policy was trained with; those of the topics.
+    /// [`SessionError::RealTime`] with the name of a camera that shows no frame of now within 10 s,
+    /// [`SessionError::BadArgument`] with that of one whose frames have another size than the
+    /// policy was trained with; those of the topics.
     pub fn wait(
         topics: &str,
         source: &ChunkSource,
@@ -59,14 +64,18 @@ impl RigCameras {
     }
 }
 
-/// Runs a robot behind `rig`, whose periods are 1 ms each on `clock`, with the policy `source`, which that of `plan` only names, until the time of `asked` is up, a signal comes,
-/// or a fault. The policy runs in a thread of its own, which also looks at the time, and sees the arms and no camera. It has to return: while it does not, its last chunk ends and the arms rest, but the run does not end by time.
+/// Runs a robot behind `rig`, whose periods are 1 ms each on `clock`, with the policy `source`,
+/// which that of `plan` only names, until the time of `asked` is up, a signal comes, or a fault.
+/// The policy runs in a thread of its own, which also looks at the time, and sees the arms and no
+/// camera. It has to return: while it does not, its last chunk ends and the arms rest, but the run
+/// does not end by time.
 ///
-/// SIGINT, SIGTERM and SIGHUP bring the arms to rest. As soon as they rest the rig is dropped, and takes its drives down.
+/// SIGINT, SIGTERM and SIGHUP bring the arms to rest. As soon as they rest the rig is dropped, and
+/// takes its drives down.
 ///
 /// # Errors
-/// [`SessionError::BadArgument`] for cameras, which [`run_rig_seeing`] takes, and if the rig has another number of arms than `robot`; those
-/// of the policy and the log.
+/// [`SessionError::BadArgument`] for cameras, which [`run_rig_seeing`] takes, and if the rig has
+/// another number of arms than `robot`; those of the policy and the log.
 pub fn run_rig<R: Rig + Send>(
     plan: &Plan<Robot>,
     rig: (R, MonotonicClock),
@@ -76,16 +85,18 @@ pub fn run_rig<R: Rig + Send>(
     run_rig_seeing(plan, rig, source, asked, RigCameras::default())
 }
 
-/// The same with `cameras`, whose frames the log keeps. The policy may look through some of them: it then sees the arms as they were when its first
-/// camera took a frame, with frames of the others of within 40 ms. A camera of the policy's that shows no new frame for 2 s ends the run, or the arms
-/// hold until it does (`policy.restarts` of `control.toml`). Frames that are further apart for 10 s and a query's
-/// interval end it too. While the policy computes, frames are not logged.
+/// The same with `cameras`, whose frames the log keeps. The policy may look through some of them:
+/// it then sees the arms as they were when its first camera took a frame, with frames of the others
+/// of within 40 ms. A camera of the policy's that shows no new frame for 2 s ends the run, or the
+/// arms hold until it does (`policy.restarts` of `control.toml`). Frames that are further apart for
+/// 10 s and a query's interval end it too. While the policy computes, frames are not logged.
 ///
-/// A committed policy, or any checkpoint, is [`ChunkSource::network`] of [`Robot::network`]. It is computed in this process, on cores that the
-/// control thread should not have to share.
+/// A committed policy, or any checkpoint, is [`ChunkSource::network`] of [`Robot::network`]. It is
+/// computed in this process, on cores that the control thread should not have to share.
 ///
 /// # Errors
-/// [`SessionError::BadArgument`] for a camera of the policy's or of `asked` that is not among `cameras`; those of [`run_rig`].
+/// [`SessionError::BadArgument`] for a camera of the policy's or of `asked` that is not among
+/// `cameras`; those of [`run_rig`].
 pub fn run_rig_seeing<R: Rig + Send>(
     plan: &Plan<Robot>,
     (rig, clock): (R, MonotonicClock),

@@ -1,4 +1,5 @@
-//! When a policy of this process is asked, and what it is shown then: the newest instant, with a frame of each of its cameras.
+//! When a policy of this process is asked, and what it is shown then: the newest instant, with a
+//! frame of each of its cameras.
 
 use hal::{FrameRef, TimeNs};
 use trocar_topics::FrameView;
@@ -41,7 +42,8 @@ impl Queries {
         }
     }
 
-    /// The newest instant is `at`, in the policy step `step`: that of the first camera's newest frame, or of now if the policy looks through none.
+    /// The newest instant is `at`, in the policy step `step`: that of the first camera's newest
+    /// frame, or of now if the policy looks through none.
     pub(super) const fn begin(&mut self, step: u64, at: TimeNs) {
         self.instant = Some((step, at));
     }
@@ -51,8 +53,8 @@ impl Queries {
         self.instant.map(|(_, at)| at)
     }
 
-    /// What the newest instant is to the policy, which counts as shown from now on, and the frames of then, by the run's `clock`; nothing before
-    /// there is one of each camera.
+    /// What the newest instant is to the policy, which counts as shown from now on, and the frames
+    /// of then, by the run's `clock`; nothing before there is one of each camera.
     pub(super) fn take(&mut self, clock: MonotonicClock) -> Option<(StepKind, Vec<FrameRef<'_>>)> {
         let (step, at) = self.instant?;
         let views = self.views.iter().enumerate();
@@ -127,7 +129,8 @@ mod tests {
         Some((kind, times.collect()))
     }
 
-    /// The first camera tells the instant, the others may be 40 ms from it; each instant is shown once.
+    /// The first camera tells the instant, the others may be 40 ms from it; each instant is shown
+    /// once.
     #[test]
     fn frames_of_an_instant_are_shown_together() {
         let clock = MonotonicClock::new();

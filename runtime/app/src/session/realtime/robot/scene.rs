@@ -1,4 +1,5 @@
-//! A robot's instruments in three dimensions, for the pages of a console: where its arms are measured, and its cameras where they say they are.
+//! A robot's instruments in three dimensions, for the pages of a console: where its arms are
+//! measured, and its cameras where they say they are.
 
 use hal::{ArmState, Intrinsics, PerArm, Pose, TimeNs};
 use trocar_control::config::ArmConfig;
@@ -8,7 +9,8 @@ use trocar_tasks::cameras::SceneModel;
 use crate::console::{BETWEEN_NS, Console, SceneTap, is_placed, of_arms};
 use crate::session::SessionError;
 
-/// For so long after the first measurement the scene waits for the first frame of each camera, ns: it has those that have said where they are.
+/// For so long after the first measurement the scene waits for the first frame of each camera, ns:
+/// it has those that have said where they are.
 const CAMERAS_NS: u64 = 1_000_000_000;
 
 /// The scene, which begins with the first measurement: where the arms are before is not known.
@@ -31,7 +33,8 @@ struct Camera {
 }
 
 impl ArmsScene {
-    /// That of these `arms` on the pages of `console`, with the cameras of these names, in the order of their indices.
+    /// That of these `arms` on the pages of `console`, with the cameras of these names, in the
+    /// order of their indices.
     pub(in super::super) fn new(console: &Console, arms: &[ArmConfig], names: &[String]) -> Self {
         let cameras = names.iter().map(|name| Camera {
             name: name.clone(),
@@ -61,7 +64,8 @@ impl ArmsScene {
         }
     }
 
-    /// Shows the arms as they were measured, unless the last time is less than a thirtieth of a second ago, or a measurement is non-finite.
+    /// Shows the arms as they were measured, unless the last time is less than a thirtieth of a
+    /// second ago, or a measurement is non-finite.
     ///
     /// # Errors
     /// [`SessionError::Simulation`] if the scene can't be shown.

@@ -1,7 +1,9 @@
-//! Whether a robot's policy sees: when each of its cameras showed something last, and what is done when one is gone.
+//! Whether a robot's policy sees: when each of its cameras showed something last, and what is done
+//! when one is gone.
 //!
-//! Without restarts (`[policy]` in `control.toml`) the run ends with it. With some, the arms come to a smooth stop and hold until it shows
-//! frames of now again, by itself or by another process in its place, and go on with the next answer.
+//! Without restarts (`[policy]` in `control.toml`) the run ends with it. With some, the arms come
+//! to a smooth stop and hold until it shows frames of now again, by itself or by another process in
+//! its place, and go on with the next answer.
 
 use hal::TimeNs;
 use hal::random::fnv_1a;
@@ -77,7 +79,8 @@ impl CameraMonitor {
         }
     }
 
-    /// Takes in the `colour` of a frame of `now` of the camera at `index`, if it is to change within a time.
+    /// Takes in the `colour` of a frame of `now` of the camera at `index`, if it is to change
+    /// within a time.
     pub(super) fn coloured(&mut self, index: usize, colour: &[u8], now: TimeNs) {
         if self.rules.frozen_ns.is_none() {
             return;
@@ -97,7 +100,8 @@ impl CameraMonitor {
         }
     }
 
-    /// Makes the arms hold or go on; why the run ends, if it does: a camera is gone for good, or shows frames of another size.
+    /// Makes the arms hold or go on; why the run ends, if it does: a camera is gone for good, or
+    /// shows frames of another size.
     pub(super) fn judge(&mut self, now: TimeNs, signals: &Signals) -> Option<String> {
         if self.resized.is_some() {
             return self.resized.clone();
@@ -129,7 +133,8 @@ impl CameraMonitor {
             .or_else(|| self.frozen())
     }
 
-    /// Which camera has shown the same pixels for too long, in words; one that shows nothing repeats nothing.
+    /// Which camera has shown the same pixels for too long, in words; one that shows nothing
+    /// repeats nothing.
     fn frozen(&self) -> Option<String> {
         let limit_ns = self.rules.frozen_ns?;
         let mut cameras = self.shown.iter().zip(&self.pixels);

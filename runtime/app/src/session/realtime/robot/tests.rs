@@ -1,4 +1,5 @@
-//! Rows of the fault table: cameras that fail while an arm moves, each for real; times are those of the run's log.
+//! Rows of the fault table: cameras that fail while an arm moves, each for real; times are those of
+//! the run's log.
 
 use std::fs;
 use std::io::{BufRead as _, BufReader};
@@ -32,7 +33,8 @@ const MS_NS: u64 = 1_000_000;
 /// For how many frames a camera is well, and the time between two.
 const GOOD_FRAMES: u64 = 50;
 const FRAME_NS: u64 = 20 * MS_NS;
-/// Ticks that an arm may take to rest after a fault is detected: what a run gives its arms at its end, more than twice the longest stop.
+/// Ticks that an arm may take to rest after a fault is detected: what a run gives its arms at its
+/// end, more than twice the longest stop.
 const STOP_TICKS_MAX: usize = 500;
 /// How often a run that a busy machine ends is tried.
 const RUNS_MAX: usize = 4;
@@ -74,8 +76,8 @@ impl Rig for Follows {
     }
 }
 
-/// Swings the tip by 2 mm to either side of where it saw it first, once in 1.6 s: so slowly that periods which a busy machine skips lose
-/// little way.
+/// Swings the tip by 2 mm to either side of where it saw it first, once in 1.6 s: so slowly that
+/// periods which a busy machine skips lose little way.
 #[derive(Default)]
 struct Swings {
     first: Option<(Pose, TimeNs)>,
@@ -207,7 +209,8 @@ fn plays(
     }
 }
 
-/// Why the run of an arm ended that moved while its camera failed, and when that began, by the log's clock.
+/// Why the run of an arm ended that moved while its camera failed, and when that began, by the
+/// log's clock.
 fn run_with(fails: Fails, log: &Path) -> (String, TimeNs) {
     let policy = PolicyChoice::Own("swings".to_owned());
     let safety =
@@ -249,7 +252,8 @@ fn run_with(fails: Fails, log: &Path) -> (String, TimeNs) {
     (result.summary.reason, TimeNs(failed.into_inner()))
 }
 
-/// Ticks from `failed` until the arm, which moved, was paused, and from then on until it was at rest; no limit is broken.
+/// Ticks from `failed` until the arm, which moved, was paused, and from then on until it was at
+/// rest; no limit is broken.
 fn stops(log: &Path, failed: TimeNs) -> (u64, usize) {
     let log = RunLog::open(log).unwrap();
     assert!(replay(&log).unwrap().identical);

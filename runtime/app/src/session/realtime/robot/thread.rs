@@ -1,5 +1,5 @@
-//! What a policy sees of a robot: the arms as they were when its first camera took a frame, and frames of all its cameras; or the arms alone, every
-//! policy step, if it looks at none.
+//! What a policy sees of a robot: the arms as they were when its first camera took a frame, and
+//! frames of all its cameras; or the arms alone, every policy step, if it looks at none.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -61,7 +61,8 @@ pub(in super::super) struct RobotThread {
 
 /// What it leaves behind.
 pub(in super::super) struct RobotEnd {
-    /// Why the run was ended from here, if it was: the time was up, a camera was gone, or the policy was shown nothing.
+    /// Why the run was ended from here, if it was: the time was up, a camera was gone, or the
+    /// policy was shown nothing.
     pub(in super::super) ended_by: Option<String>,
     /// Whether that was what was asked.
     pub(in super::super) as_asked: bool,
@@ -153,7 +154,8 @@ impl RobotThread {
         Self { marked_by, ..self }
     }
 
-    /// Runs until the control thread has stopped; ends the run when the time is up or a camera that the policy needs is gone.
+    /// Runs until the control thread has stopped; ends the run when the time is up or a camera that
+    /// the policy needs is gone.
     pub(in super::super) fn run(mut self) -> Result<RobotEnd, SessionError> {
         let signals = Arc::clone(&self.seen.signals);
         let _ends = EndRunOnDrop(&signals);
@@ -206,7 +208,8 @@ impl RobotThread {
         Ok(end)
     }
 
-    /// Ends the run, which has `begun`, if its time is up, a camera that the policy needs is gone, or the policy is shown nothing.
+    /// Ends the run, which has `begun`, if its time is up, a camera that the policy needs is gone,
+    /// or the policy is shown nothing.
     fn end_in_time(
         &mut self,
         (begun, now): (TimeNs, TimeNs),
@@ -233,7 +236,8 @@ impl RobotThread {
         signals.end_run();
     }
 
-    /// Why the run ends if a policy of this process has for too long been shown nothing at `now`; while the arms hold for frames it is not to be.
+    /// Why the run ends if a policy of this process has for too long been shown nothing at `now`;
+    /// while the arms hold for frames it is not to be.
     fn shown_nothing(&mut self, now: TimeNs, signals: &Signals) -> Option<String> {
         let (source, _) = self.local.as_ref()?;
         let interval_ns = source.query_every_steps().saturating_mul(STEP_NS);
@@ -246,14 +250,16 @@ impl RobotThread {
         (unshown_ns > limit_ns).then(|| answers_nothing(unshown_ns))
     }
 
-    /// Whether the policy goes by no camera's frames; those of an operator beside it are none of its.
+    /// Whether the policy goes by no camera's frames; those of an operator beside it are none of
+    /// its.
     fn is_blind(&self) -> bool {
         let sees = |(source, _): &(ChunkSource, _)| !source.cameras().is_empty();
         let beside = self.by_hand.is_some() && !self.local.as_ref().is_none_or(sees);
         beside || self.sight.is_blind()
     }
 
-    /// Keeps what cameras show in the log and for `queries`; when the newest frame of the policy's first camera was taken, if there is a new one.
+    /// Keeps what cameras show in the log and for `queries`; when the newest frame of the policy's
+    /// first camera was taken, if there is a new one.
     fn newest_frame(&mut self, queries: &mut Queries) -> Result<Option<TimeNs>, SessionError> {
         let mut taken = None;
         for (index, (name, topic)) in self.cameras.iter_mut().enumerate() {
@@ -305,7 +311,8 @@ impl RobotThread {
         self.seen.tell();
     }
 
-    /// Shows pages where the arms are; a scene that can't be shown ends with a word, the run goes on.
+    /// Shows pages where the arms are; a scene that can't be shown ends with a word, the run goes
+    /// on.
     fn show_arms(&mut self, states: &PerArm<ArmState>) {
         let shown = self.scene.as_mut().map(|scene| scene.show(states));
         if let Some(Err(error)) = shown {
@@ -316,7 +323,8 @@ impl RobotThread {
         }
     }
 
-    /// Tells a policy process where the arms were `at` the instant of a frame, which it needs to go with that frame.
+    /// Tells a policy process where the arms were `at` the instant of a frame, which it needs to go
+    /// with that frame.
     fn report(&self, step: u64, at: TimeNs) -> Result<(), SessionError> {
         let Some(states) = self.past.at(at) else {
             return Ok(());
@@ -329,7 +337,8 @@ impl RobotThread {
         Ok(())
     }
 
-    /// Shows a policy of this process the newest instant once all that it sees of it is there, the arms as they were then among it.
+    /// Shows a policy of this process the newest instant once all that it sees of it is there, the
+    /// arms as they were then among it.
     fn ask(
         &mut self,
         queries: &mut Queries,

@@ -114,7 +114,8 @@ pub(super) struct Device {
     down: BTreeMap<u16, TimeNs>,
     /// Absolute axes as the device tells them, -1 to 1, a trigger 0 to 1.
     axes: BTreeMap<u16, f64>,
-    /// Deflections of a cap, way and turn, and when each of both was told; what this frame says of them.
+    /// Deflections of a cap, way and turn, and when each of both was told; what this frame says of
+    /// them.
     cap: [f64; 6],
     told: [Option<TimeNs>; 2],
     frame: [Option<f64>; 6],

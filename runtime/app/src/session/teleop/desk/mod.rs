@@ -1,11 +1,13 @@
-//! Devices at the robot's computer as the operator's hands: keyboards, gamepads and SpaceMice under `/dev/input`, with or without a page.
+//! Devices at the robot's computer as the operator's hands: keyboards, gamepads and SpaceMice under
+//! `/dev/input`, with or without a page.
 //!
 //! ```text
 //!  /dev/input/eventN ── a thread each: events ──> thread of the desk: hands, 50 a second ──> `Hands`, as from a page
 //! ```
 //!
-//! `events` reads a device, `device` is what its controls ask for (the page's own), `hand` what a hand makes of it. A keyboard moves the arms
-//! whichever window has the focus. A device that goes lets go, and so does one that has lost events: its keys have to be pressed anew.
+//! `events` reads a device, `device` is what its controls ask for (the page's own), `hand` what a
+//! hand makes of it. A keyboard moves the arms whichever window has the focus. A device that goes
+//! lets go, and so does one that has lost events: its keys have to be pressed anew.
 
 mod device;
 mod events;

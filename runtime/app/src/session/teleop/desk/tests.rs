@@ -89,7 +89,8 @@ fn keys_move_a_hand_that_holds_its_clutch() {
     assert!(again.at[1].abs() < 0.003, "it begins anew: {:?}", again.at);
 }
 
-/// A gamepad's sticks have a dead zone, its trigger is the jaw, its shoulder the clutch; ranges are the device's own.
+/// A gamepad's sticks have a dead zone, its trigger is the jaw, its shoulder the clutch; ranges are
+/// the device's own.
 #[test]
 fn a_gamepad_asks_by_its_sticks() {
     let ranges = [(Abs::ABS_Y.0, (0, 255))].into_iter().collect();
@@ -134,7 +135,8 @@ fn a_gamepad_asks_by_its_sticks() {
     );
 }
 
-/// A cap's axes are x to the right, y towards the person, z down; one that says nothing for long is let go of.
+/// A cap's axes are x to the right, y towards the person, z down; one that says nothing for long is
+/// let go of.
 #[test]
 fn a_cap_moves_the_way_it_is_pushed() {
     let mut device = after(&[
@@ -152,7 +154,8 @@ fn a_cap_moves_the_way_it_is_pushed() {
         asked.way
     );
     assert!((asked.turn.z - 1.0).abs() < 1e-9, "{}", asked.turn);
-    // A turn that springs back is told by nothing; a way that is told again and again does not hold it.
+    // A turn that springs back is told by nothing; a way that is told again and again does not hold
+    // it.
     device.take(rel(Rel::REL_Z, -350), ms(290));
     device.take(SYN, ms(290));
     let asked = device.asked(ms(300), 0.0);
@@ -213,7 +216,8 @@ fn each_device_has_its_arm() {
     assert_eq!((desk.arm_of(0, 2), desk.arm_of(1, 2)), (0, 1));
 }
 
-/// Beside a policy whoever takes the clutch drives; B hands back, and the clutch has to be taken anew.
+/// Beside a policy whoever takes the clutch drives; B hands back, and the clutch has to be taken
+/// anew.
 #[test]
 fn a_key_hands_back_to_the_policy() {
     let hands = Arc::new(Hands::new());

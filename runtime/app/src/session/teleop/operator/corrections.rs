@@ -1,4 +1,5 @@
-//! Corrections of what is seen to have gone astray: minimum-jerk movements on top of the one under way, one after another.
+//! Corrections of what is seen to have gone astray: minimum-jerk movements on top of the one under
+//! way, one after another.
 
 use std::collections::VecDeque;
 
@@ -76,7 +77,8 @@ impl Corrections {
         added
     }
 
-    /// The tip is seen at `tip`, where it was at `seen_at`: begins a correction at `now` if it is off and none is under way.
+    /// The tip is seen at `tip`, where it was at `seen_at`: begins a correction at `now` if it is
+    /// off and none is under way.
     pub(super) fn look(
         &mut self,
         now: TimeNs,

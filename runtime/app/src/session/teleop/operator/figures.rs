@@ -9,18 +9,23 @@ pub const DELAYS_MS: core::ops::RangeInclusive<u64> = 0..=500;
 /// Which tremors there can be, mm rms.
 pub const TREMORS_MM: core::ops::RangeInclusive<f64> = 0.0..=2.0;
 
-/// What a simulated operator is like. The first two can be chosen by a user; the rest is the same for all.
+/// What a simulated operator is like. The first two can be chosen by a user; the rest is the same
+/// for all.
 ///
-/// **Tremor.** Surgeons' hands tremble by 0.05 to 0.2 mm rms at 8 to 12 Hz (Wells, Yang, MacLachlan, Handa, Gehlbach and Riviere,
-/// "Comparison of baseline tremor under various microsurgical conditions", IEEE SMC 2013). The default is in the middle.
+/// **Tremor.** Surgeons' hands tremble by 0.05 to 0.2 mm rms at 8 to 12 Hz (Wells, Yang,
+/// MacLachlan, Handa, Gehlbach and Riviere, "Comparison of baseline tremor under various
+/// microsurgical conditions", IEEE SMC 2013). The default is in the middle.
 ///
-/// **Noise.** A hand's error grows with its speed (Harris and Wolpert, "Signal-dependent noise determines motor planning", Nature 394,
-/// 1998). Here a part `noise` of the speed, along each axis, with a correlation of `noise_s`: a movement over a distance D along a
-/// minimum-jerk profile of T seconds ends off by `noise * D * sqrt(2.9 * noise_s / T)`, which is 4 % of a way of one second.
+/// **Noise.** A hand's error grows with its speed (Harris and Wolpert, "Signal-dependent noise
+/// determines motor planning", Nature 394, 1998). Here a part `noise` of the speed, along each
+/// axis, with a correlation of `noise_s`: a movement over a distance D along a minimum-jerk profile
+/// of T seconds ends off by `noise * D * sqrt(2.9 * noise_s / T)`, which is 4 % of a way of one
+/// second.
 ///
-/// **Submovements.** What is seen to be off by more than `near_m` or `near_rad` is corrected by another minimum-jerk movement on top of the
-/// one under way (Flash and Henis, "Arm trajectory modifications during reaching towards visual targets", J. Cogn. Neurosci. 3, 1991), one
-/// at a time.
+/// **Submovements.** What is seen to be off by more than `near_m` or `near_rad` is corrected by
+/// another minimum-jerk movement on top of the one under way (Flash and Henis, "Arm trajectory
+/// modifications during reaching towards visual targets", J. Cogn. Neurosci. 3, 1991), one at a
+/// time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct OperatorFigures {
     /// How old what the operator sees is, ms; looked at every 8 ms.
@@ -29,7 +34,8 @@ pub struct OperatorFigures {
     pub tremor_mm: f64,
     /// Tremor's frequencies, Hz.
     pub tremor_hz: [f64; 2],
-    /// Distance from where the hand turns to where its tremor is felt, m: it turns by that much less.
+    /// Distance from where the hand turns to where its tremor is felt, m: it turns by that much
+    /// less.
     pub tremor_lever_m: f64,
     /// Noise of a moving hand over its speed, along and about each axis.
     pub noise: f64,
@@ -39,7 +45,8 @@ pub struct OperatorFigures {
     pub trigger_noise: f64,
     /// Pace over the scripted expert's, drawn for each episode.
     pub tempo: [f64; 2],
-    /// How much later than the hand a tip moves, as far as the operator has learned to expect it, s.
+    /// How much later than the hand a tip moves, as far as the operator has learned to expect it,
+    /// s.
     pub arm_lag_s: f64,
     /// Error of a tip that is let be, m.
     pub near_m: f64,

@@ -14,7 +14,8 @@ use crate::session::teleop::source::{JAW_CLOSED_RAD, JAW_OPEN_RAD};
 /// A clutch that is held for so long without effect is let go and taken again.
 const NO_EFFECT_NS: u64 = 50_000_000;
 
-/// A plan that is further than this from where the last one led begins anew from where the tip is, m.
+/// A plan that is further than this from where the last one led begins anew from where the tip is,
+/// m.
 const ANEW_M: f64 = 0.001_5;
 
 /// What the fingers do with the clutch.
@@ -57,7 +58,8 @@ pub(super) struct Moment<'a> {
 }
 
 impl SimulatedHand {
-    /// A hand at rest in the middle of its range, whose arm moves in axes that `rcm_from_view` turns the picture's into.
+    /// A hand at rest in the middle of its range, whose arm moves in axes that `rcm_from_view`
+    /// turns the picture's into.
     pub(super) fn new(rcm_from_view: &Pose, figures: &OperatorFigures, mut rng: Rng) -> Self {
         let [least, most] = figures.reaction_s;
         let noise = Noise::new(figures, Rng::new(rng.next_u64()));

@@ -1,10 +1,13 @@
-//! A simulated operator: sees the scene late, and moves hands that tremble and go astray. What they do passes through everything that a
-//! headset's messages pass through once they are read: [`Hands`], clutch, scale and leash, [`Teleop`].
+//! A simulated operator: sees the scene late, and moves hands that tremble and go astray. What they
+//! do passes through everything that a headset's messages pass through once they are read:
+//! [`Hands`], clutch, scale and leash, [`Teleop`].
 //!
-//! The plan is the scripted expert's, played with [`SettleCriteria`](trocar_tasks::expert::SettleCriteria): where each tip should be next. A hand moves as the
-//! plan does and never learns where the tip is but by sight, so its errors add up; a correction takes back what is seen of them
-//! ([`OperatorFigures`]). A hand that leaves its comfortable range stops, lets the clutch go, comes back and takes it anew; meanwhile the
-//! plan stands still.
+//! The plan is the scripted expert's, played with
+//! [`SettleCriteria`](trocar_tasks::expert::SettleCriteria): where each tip should be next. A hand
+//! moves as the plan does and never learns where the tip is but by sight, so its errors add up; a
+//! correction takes back what is seen of them ([`OperatorFigures`]). A hand that leaves its
+//! comfortable range stops, lets the clutch go, comes back and takes it anew; meanwhile the plan
+//! stands still.
 
 mod corrections;
 mod figures;
@@ -33,7 +36,8 @@ use sight::Sight;
 /// The page that the hands are on.
 const SEAT: u64 = 1;
 
-/// Looks from one message of the hands to the next: 62.5 messages a second, about what a headset's page sends.
+/// Looks from one message of the hands to the next: 62.5 messages a second, about what a headset's
+/// page sends.
 const LOOKS: u64 = 2;
 
 /// Time between two messages, s.
@@ -92,7 +96,8 @@ impl SimulatedOperator {
         self.plan.expert.attempts()
     }
 
-    /// What the hands did; their latency is none, since virtual time stands still meanwhile, and so is their device.
+    /// What the hands did; their latency is none, since virtual time stands still meanwhile, and so
+    /// is their device.
     pub(crate) fn summary(&self) -> TeleopSummary {
         TeleopSummary {
             hand_to_command_ms: None,
@@ -106,7 +111,8 @@ impl SimulatedOperator {
         self.commanded = Some(Commanded::after(record, &mut self.given));
     }
 
-    /// A target for each arm, for the arms measured as `seen`, with the scene as it is now; to be asked every 8 ms.
+    /// A target for each arm, for the arms measured as `seen`, with the scene as it is now; to be
+    /// asked every 8 ms.
     ///
     /// # Errors
     /// Those of [`Teleop::answer`].

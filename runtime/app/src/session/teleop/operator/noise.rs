@@ -90,7 +90,8 @@ impl Noise {
         [0, 1].map(|part| self.tremor[part].at(seconds))
     }
 
-    /// What a hand does that wants to go `way` and to turn by `turn` in `step_s`; and by what its trigger is off.
+    /// What a hand does that wants to go `way` and to turn by `turn` in `step_s`; and by what its
+    /// trigger is off.
     pub(super) fn step(
         &mut self,
         [way, turn]: [Vector3<f64>; 2],

@@ -21,7 +21,8 @@ impl Sight {
         }
     }
 
-    /// This is how the scene is `now`; the newest that is old enough to be seen, and when it was so.
+    /// This is how the scene is `now`; the newest that is old enough to be seen, and when it was
+    /// so.
     pub(super) fn look(&mut self, now: TimeNs, scene: &SceneState) -> Option<(TimeNs, SceneState)> {
         self.scenes.push_back((now, *scene));
         let is_seen = |(at, _): &(TimeNs, SceneState)| now.since(*at) >= self.delay_ns;

@@ -73,7 +73,8 @@ fn end_error(seconds: f64) -> f64 {
     ((0..400).map(error).sum::<f64>() / 400.0).sqrt()
 }
 
-/// A way of one second ends 4 % off, a faster one further off: as the documentation of the figures says.
+/// A way of one second ends 4 % off, a faster one further off: as the documentation of the figures
+/// says.
 #[test]
 fn errors_grow_with_speed() {
     let [slow, fast] = [1.0, 0.5].map(end_error);
@@ -82,7 +83,8 @@ fn errors_grow_with_speed() {
     assert!((1.25..1.5).contains(&ratio), "{fast} after {slow}");
 }
 
-/// A tip that is seen to be off is brought back by movements one after another, though it is seen late and the arm follows late.
+/// A tip that is seen to be off is brought back by movements one after another, though it is seen
+/// late and the arm follows late.
 #[test]
 fn what_is_off_is_corrected() {
     let figures = OperatorFigures::default();

@@ -2,8 +2,8 @@
 
 use super::*;
 
-/// A controller that is held by `turn` (a rotation vector in the picture's axes) and by `roll` about the instrument's axis otherwise than the
-/// instrument of `bench` points.
+/// A controller that is held by `turn` (a rotation vector in the picture's axes) and by `roll`
+/// about the instrument's axis otherwise than the instrument of `bench` points.
 fn controller(bench: &Bench, turn: [f64; 3], roll: f64) -> At {
     let arm = &bench.setup.task.arms[0];
     let view = rcm_from_view(&bench.setup.task, &arm.scene_from_rcm).rotation;
@@ -22,8 +22,9 @@ fn misaligned_deg(bench: &Bench) -> Option<f64> {
     bench.hands.status().unwrap().arms[0].misaligned_deg
 }
 
-/// A controller that is held otherwise than its instrument points engages as soon as it is turned within the bound, its clutch still held,
-/// with what is left of the angle as an offset: nothing jumps. From then on it may turn as it likes.
+/// A controller that is held otherwise than its instrument points engages as soon as it is turned
+/// within the bound, its clutch still held, with what is left of the angle as an offset: nothing
+/// jumps. From then on it may turn as it likes.
 #[test]
 fn a_misaligned_controller_engages_once_it_is_aligned() {
     let mut bench = Bench::new(false);
@@ -65,7 +66,8 @@ fn a_controller_is_aligned_either_way_round() {
     }
 }
 
-/// Whatever is lost while a controller waits to be aligned asks for a new clutch, as ever; without a known instrument it waits.
+/// Whatever is lost while a controller waits to be aligned asks for a new clutch, as ever; without
+/// a known instrument it waits.
 #[test]
 fn alignment_gives_back_no_lost_clutch() {
     let mut bench = Bench::new(false);

@@ -6,7 +6,8 @@ use crate::smoother::Smoother;
 use crate::stop::AxisStop;
 use hal::random::SplitMix64;
 
-/// A target that is wild, but zero where the full-limit stop after one more tick towards it would leave the range.
+/// A target that is wild, but zero where the full-limit stop after one more tick towards it would
+/// leave the range.
 fn shielded(
     full: &mut Smoother,
     state: &MotionState,

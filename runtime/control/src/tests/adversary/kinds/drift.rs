@@ -8,8 +8,8 @@ use super::{Adversary, View, chunk, ticks};
 use crate::kinematics::forward;
 use hal::random::SplitMix64;
 
-/// A straight line at 2 to 40 mm/s from where the arm is through a corner of the workspace, with a slow turn into the wrist's
-/// corner.
+/// A straight line at 2 to 40 mm/s from where the arm is through a corner of the workspace, with a
+/// slow turn into the wrist's corner.
 #[derive(Default)]
 pub(super) struct Drift {
     patience: u32,

@@ -7,7 +7,8 @@ use super::words::{Token, Words};
 const DEPTH_MAX: usize = 64;
 const BRACKETS_MAX: usize = 4;
 
-/// Most prims of a stage, most bytes of a prim's name, and most numbers and words of the attributes that are read.
+/// Most prims of a stage, most bytes of a prim's name, and most numbers and words of the attributes
+/// that are read.
 const PRIMS_MAX: usize = 1 << 14;
 const NAME_MAX: usize = 256;
 const VALUES_MAX: usize = 1 << 25;
@@ -226,7 +227,8 @@ impl<'a> Parser<'a> {
         Ok(heading)
     }
 
-    /// A property that begins with the word `first`, if it is one of those that are read and has a value.
+    /// A property that begins with the word `first`, if it is one of those that are read and has a
+    /// value.
     fn property(&mut self, first: &'a str) -> Result<Option<Attribute<'a>>, String> {
         let (mut kind, mut is_deleted) = (first, false);
         while QUALIFIERS.contains(&kind) {

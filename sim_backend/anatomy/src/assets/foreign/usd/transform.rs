@@ -1,6 +1,7 @@
 //! Where a prim is in its parent, by its operations in their order.
 //!
-//! OpenUSD multiplies rows from the left; here are columns, so the order is from left to right, the last operation first.
+//! OpenUSD multiplies rows from the left; here are columns, so the order is from left to right, the
+//! last operation first.
 
 use nalgebra::{Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
 

@@ -54,7 +54,8 @@ impl<'a> Words<'a> {
         }
     }
 
-    /// Takes what is between `mark` and the next one that no backslash is before; `None` if there is none.
+    /// Takes what is between `mark` and the next one that no backslash is before; `None` if there
+    /// is none.
     fn quoted(&mut self, mark: &str) -> Option<&'a str> {
         self.take(mark.len());
         let mut from = 0;

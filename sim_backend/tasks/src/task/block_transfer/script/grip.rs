@@ -11,7 +11,8 @@ use trocar_world::block::BlockShape;
 use crate::script::hand::straight_down;
 use crate::task::block_transfer::BoardShape;
 
-/// Room that a finger takes in the hole, beyond its thickness, because it stands a little aslant, m.
+/// Room that a finger takes in the hole, beyond its thickness, because it stands a little aslant,
+/// m.
 const SLANT_M: f64 = 0.000_4;
 
 /// Room that it shall have beyond that, m.
@@ -30,8 +31,9 @@ pub(super) struct Gripping<'a> {
 }
 
 impl Gripping<'_> {
-    /// The grip of this attempt: `before` if there is one, else of the walls that the peg leaves room for a finger at the one that
-    /// turns the wrist least; where there is no such wall, the one with most room.
+    /// The grip of this attempt: `before` if there is one, else of the walls that the peg leaves
+    /// room for a finger at the one that turns the wrist least; where there is no such wall, the
+    /// one with most room.
     pub(super) fn choose(&self, before: Option<Grip>, block_in_scene: &Pose) -> Grip {
         if let Some(grip) = before {
             return grip;
@@ -54,7 +56,8 @@ impl Gripping<'_> {
             .fold(Grip { side: 0 }, better)
     }
 
-    /// How far the wrist turns from its home to lay the jaw across a wall: of the two ways, the nearer.
+    /// How far the wrist turns from its home to lay the jaw across a wall: of the two ways, the
+    /// nearer.
     fn turn_rad(&self, grip: Grip, block_in_scene: &Pose) -> f64 {
         let outwards = block_in_scene * self.block.side_normal(grip.side);
         let yaw = outwards.y.atan2(outwards.x);
@@ -65,8 +68,8 @@ impl Gripping<'_> {
         }
     }
 
-    /// The pose of the control point in which closing the jaw grips the wall `along_m` beside its middle, the finger
-    /// tips `depth_m` below the block's top.
+    /// The pose of the control point in which closing the jaw grips the wall `along_m` beside its
+    /// middle, the finger tips `depth_m` below the block's top.
     pub(super) fn tip_pose(
         &self,
         grip: Grip,
@@ -89,8 +92,8 @@ impl Gripping<'_> {
         )
     }
 
-    /// The block upright, turned as it is, `bottom_m` above the board, with the peg at `goal` in the middle of what the
-    /// finger leaves of the hole.
+    /// The block upright, turned as it is, `bottom_m` above the board, with the peg at `goal` in
+    /// the middle of what the finger leaves of the hole.
     pub(super) fn placed(
         &self,
         grip: Grip,

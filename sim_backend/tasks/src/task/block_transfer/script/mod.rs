@@ -1,8 +1,10 @@
-//! Block transfer: grips a wall of the block from above, one finger in the hole, and moves it to the goal peg.
+//! Block transfer: grips a wall of the block from above, one finger in the hole, and moves it to
+//! the goal peg.
 //!
-//! It takes the wall that turns the wrist least where the peg leaves room for a finger, keeps the block upright and its hole over the goal on the way,
-//! goes up again if the block does not go down, and starts over when the fingers closed on nothing, the block slipped
-//! out, or it was let go beside the peg.
+//! It takes the wall that turns the wrist least where the peg leaves room for a finger, keeps the
+//! block upright and its hole over the goal on the way, goes up again if the block does not go
+//! down, and starts over when the fingers closed on nothing, the block slipped out, or it was let
+//! go beside the peg.
 
 mod grip;
 mod phase;
@@ -23,7 +25,8 @@ use style::Style;
 /// How far the block may be from its place when a carrying motion ends, m.
 const CARRIED_M: f64 = 0.000_6;
 
-/// How high above its end the block may be at the end of the lowering, m; higher, something holds it up.
+/// How high above its end the block may be at the end of the lowering, m; higher, something holds
+/// it up.
 const STUCK_M: f64 = 0.002;
 
 /// How long to wait for both fingers after the jaw's motion has ended, s.
@@ -38,7 +41,8 @@ const OPEN_S: f64 = 0.25;
 /// How long the block is looked at before it counts as misplaced, s.
 const REST_S: f64 = 1.0;
 
-/// Height of the control point at which the open fingers pass over the pegs, beyond the pegs' height, m.
+/// Height of the control point at which the open fingers pass over the pegs, beyond the pegs'
+/// height, m.
 const OVER_PEGS_M: f64 = hal::psm::FINGER_M + 0.004;
 
 /// The script of the block transfer.

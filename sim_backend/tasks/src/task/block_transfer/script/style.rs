@@ -1,4 +1,5 @@
-//! How one demonstration differs from the next: what a person would do a little differently each time.
+//! How one demonstration differs from the next: what a person would do a little differently each
+//! time.
 
 use nalgebra::Vector3;
 use trocar_world::rng::Rng;

@@ -5,7 +5,8 @@ use trocar_world::{REST_M_S, World};
 use crate::task::TaskConfig;
 use crate::task::block_transfer::BlockTransfer;
 
-/// A world of the block transfer at the start of an episode, with the block on any of the pegs or beside the `goal`.
+/// A world of the block transfer at the start of an episode, with the block on any of the pegs or
+/// beside the `goal`.
 fn block_on_peg(seed: u64, goal: Option<usize>) -> (TaskConfig, World) {
     let mut task = TaskConfig::shipped("block-transfer");
     task.scene_mut::<BlockTransfer>().unwrap().start.goal_peg = goal;

@@ -1,8 +1,9 @@
-//! Needle handover: one hand takes the needle from the organ and presents it, the other one takes it away.
+//! Needle handover: one hand takes the needle from the organ and presents it, the other one takes
+//! it away.
 //!
-//! Each hand has its own phases. They agree by what they see of each other: the taker comes when the needle is
-//! presented, the giver lets go when the taker holds it, the taker goes when the giver is gone. If the needle falls, the
-//! giver fetches it again.
+//! Each hand has its own phases. They agree by what they see of each other: the taker comes when
+//! the needle is presented, the giver lets go when the taker holds it, the taker goes when the
+//! giver is gone. If the needle falls, the giver fetches it again.
 
 mod giver;
 mod style;
@@ -36,8 +37,9 @@ const LOST_STEPS: u32 = 4;
 /// Time to rest with an open jaw, s.
 const REOPEN_S: f64 = 0.3;
 
-/// How far the finger tips press into the soft organ, and reach beyond the wire that lies on it, at the grasp, m: a needle
-/// that is held far from its middle slides out of the very ends of the fingers.
+/// How far the finger tips press into the soft organ, and reach beyond the wire that lies on it, at
+/// the grasp, m: a needle that is held far from its middle slides out of the very ends of the
+/// fingers.
 const TIP_SINK_M: f64 = 0.000_5;
 
 /// Distances from the grasp at which the organ's height is looked at, m.

@@ -1,6 +1,7 @@
 //! Needle lift: grips the needle at the middle of its arc, wherever it lies, and lifts it.
 //!
-//! It follows the needle if that moves, and starts over when the fingers closed on nothing or the needle slipped out.
+//! It follows the needle if that moves, and starts over when the fingers closed on nothing or the
+//! needle slipped out.
 
 mod phase;
 mod style;

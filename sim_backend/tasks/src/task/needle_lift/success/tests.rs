@@ -136,7 +136,8 @@ fn short_holds_do_not_add_up() {
 
 #[test]
 fn needle_that_still_hangs_onto_the_organ_is_no_success() {
-    // Turned about the grip until its ends hang down: the middle is high, the ends are in the organ.
+    // Turned about the grip until its ends hang down: the middle is high, the ends are in the
+    // organ.
     let hanging = || {
         let mut bench = Bench::new();
         let middle = Vector3::new(bench.task.needle.arc_radius_m, 0.0, 0.0);

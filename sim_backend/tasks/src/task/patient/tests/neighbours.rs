@@ -41,7 +41,8 @@ fn merged(visuals: &[Visual], wanted: impl Fn(&Visual) -> bool) -> Mesh {
     Mesh::merged(wanted.map(|visual| visual.mesh.clone()))
 }
 
-/// How many edges are not passed as often in one direction as in the other; the same places are the same bits.
+/// How many edges are not passed as often in one direction as in the other; the same places are the
+/// same bits.
 fn open_edges(mesh: &Mesh) -> usize {
     let at = |corner: u32| mesh.positions[corner as usize].map(f32::to_bits);
     let mut passed: BTreeMap<[[u32; 3]; 2], i32> = BTreeMap::new();
@@ -81,8 +82,9 @@ fn covered(organ: &Mesh, around: &Mesh) -> usize {
     is_covered.count()
 }
 
-/// They had hung in shreds: vertices of coarse triangles were clipped one by one, each at a level that jumped at the organ's outline, and faces that
-/// came to look down were left out. Of the spleens and kidneys here 33 to 129 places showed backs, and 14 to 45 were covered.
+/// They had hung in shreds: vertices of coarse triangles were clipped one by one, each at a level
+/// that jumped at the organ's outline, and faces that came to look down were left out. Of the
+/// spleens and kidneys here 33 to 129 places showed backs, and 14 to 45 were covered.
 #[test]
 fn neighbours_are_closed_and_out_of_the_way() {
     for seed in [1, 2] {
@@ -105,7 +107,8 @@ fn neighbours_are_closed_and_out_of_the_way() {
     }
 }
 
-/// What is painted is another part of the pattern on each organ of each patient, and the same on the same organ.
+/// What is painted is another part of the pattern on each organ of each patient, and the same on
+/// the same organ.
 #[test]
 fn no_two_organs_show_the_same_part_of_a_pattern() {
     let folders = [

@@ -1,4 +1,5 @@
-//! Which patch is taken, and which needles lie on it, on livers that are plateaus: where a needle slides, and which is too large, is known.
+//! Which patch is taken, and which needles lie on it, on livers that are plateaus: where a needle
+//! slides, and which is too large, is known.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -95,8 +96,8 @@ fn refused(source: &Source) -> String {
     refused.unwrap_err().to_string()
 }
 
-/// The flattest patch is a slope of 6 degrees. With little friction, on which the needle slides off it, the next one is taken, which is level, but
-/// lower at its rim.
+/// The flattest patch is a slope of 6 degrees. With little friction, on which the needle slides off
+/// it, the next one is taken, which is level, but lower at its rim.
 #[test]
 fn where_a_needle_slides_off_the_next_patch_is_taken() {
     let slope = Plateau {
@@ -141,8 +142,8 @@ fn a_needle_that_slides_off_everywhere_is_refused() {
     );
 }
 
-/// On a plateau of 36 mm the trained needle, 38 mm wide, does not lie, but N3 does if the scene names it. There the trained one is
-/// neither chosen nor drawn.
+/// On a plateau of 36 mm the trained needle, 38 mm wide, does not lie, but N3 does if the scene
+/// names it. There the trained one is neither chosen nor drawn.
 #[test]
 fn a_smaller_needle_of_the_scene_lies_where_the_trained_one_does_not() {
     let small = Plateau {
@@ -194,7 +195,8 @@ fn a_smaller_needle_of_the_scene_lies_where_the_trained_one_does_not() {
     );
 }
 
-/// N5 as an open ring of 60 mm falls off a plateau of 43 mm wherever it is laid: it can't be chosen, and is not drawn.
+/// N5 as an open ring of 60 mm falls off a plateau of 43 mm wherever it is laid: it can't be
+/// chosen, and is not drawn.
 #[test]
 fn a_needle_that_falls_off_the_patch_is_neither_chosen_nor_drawn() {
     let folder = Folder::with_plateaus("ring", &[LEVEL]);

@@ -1,8 +1,10 @@
-//! Suture pad: grips the needle at the middle of its arc, turns its point to the hole, and turns it through.
+//! Suture pad: grips the needle at the middle of its arc, turns its point to the hole, and turns it
+//! through.
 //!
-//! The needle stays flat all the way: its arc lies in a horizontal plane at the height of the hole, and the drive is a
-//! turn about the arc's centre. The script keeps the needle, not the hand, on that way, goes back and lines up again if
-//! the point does not get through, and starts over when the fingers closed on nothing or the needle slipped out.
+//! The needle stays flat all the way: its arc lies in a horizontal plane at the height of the hole,
+//! and the drive is a turn about the arc's centre. The script keeps the needle, not the hand, on
+//! that way, goes back and lines up again if the point does not get through, and starts over when
+//! the fingers closed on nothing or the needle slipped out.
 
 mod phase;
 mod style;

@@ -1,4 +1,5 @@
-//! How one demonstration differs from the next: what a person would do a little differently each time.
+//! How one demonstration differs from the next: what a person would do a little differently each
+//! time.
 
 use nalgebra::Vector3;
 use trocar_world::rng::Rng;
@@ -35,7 +36,8 @@ pub(crate) struct Style {
     pub(super) settle_s: f64,
     /// How far before the lip the needle is turned, m.
     pub(super) aside_m: f64,
-    /// Angle of the needle's point about its arc's centre before the drive, from the plane of the lip, rad.
+    /// Angle of the needle's point about its arc's centre before the drive, from the plane of the
+    /// lip, rad.
     pub(super) ready_rad: f64,
     /// That angle at the end of the drive, rad.
     pub(super) driven_rad: f64,

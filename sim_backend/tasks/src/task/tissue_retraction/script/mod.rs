@@ -1,7 +1,8 @@
-//! Tissue retraction: takes the flap by its free edge at the mark, one finger above it and one under it, and lifts it.
+//! Tissue retraction: takes the flap by its free edge at the mark, one finger above it and one
+//! under it, and lifts it.
 //!
-//! It follows the mark if that moves, and starts over when the fingers closed on nothing or beside the mark, or when the
-//! flap slipped out.
+//! It follows the mark if that moves, and starts over when the fingers closed on nothing or beside
+//! the mark, or when the flap slipped out.
 
 mod phase;
 mod style;
@@ -18,7 +19,8 @@ use crate::script::play::{Activity, Event, Hand, Part};
 use phase::Phase;
 use style::Style;
 
-/// How far the mark may be from the middle of the fingers along their hinge for the grasp to be right, m.
+/// How far the mark may be from the middle of the fingers along their hinge for the grasp to be
+/// right, m.
 const BESIDE_M: f64 = 0.003_5;
 
 /// How long to wait for a hold after the jaw's motion has ended, s.
@@ -138,8 +140,8 @@ impl Hand<Retractor> {
             * Translation3::new(0.0, 0.0, -self.style.poise_m)
     }
 
-    /// The pose in which closing the jaw takes the edge at the mark: it points across the edge from outside, its hinge
-    /// along the edge, the flap half way between the fingers.
+    /// The pose in which closing the jaw takes the edge at the mark: it points across the edge from
+    /// outside, its hinge along the edge, the flap half way between the fingers.
     fn grasp_pose(&self, view: &View) -> Pose {
         let outward = view.thing.rotation * Vector3::y();
         let level = Vector3::new(-outward.x, -outward.y, 0.0);

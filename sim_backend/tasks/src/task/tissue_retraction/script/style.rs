@@ -1,4 +1,5 @@
-//! How one demonstration differs from the next: what a person would do a little differently each time.
+//! How one demonstration differs from the next: what a person would do a little differently each
+//! time.
 
 use nalgebra::Vector3;
 use trocar_world::rng::Rng;
@@ -25,14 +26,15 @@ pub(crate) struct Style {
     pub(super) bow_m: Vector3<f64>,
     /// Distance of the grasp from the mark, along the edge, m.
     pub(super) along_m: f64,
-    /// How far the ends of the fingers reach past the free edge, over twice the mark's distance from it.
+    /// How far the ends of the fingers reach past the free edge, over twice the mark's distance
+    /// from it.
     pub(super) over: f64,
     /// How far the jaw points down from level, rad.
     pub(super) tilt_rad: f64,
     /// Jaw angle when open, rad.
     pub(super) open_rad: f64,
-    /// Jaw command when holding, rad; so far below contact that the tissue is squeezed with about 2 N, not with all that
-    /// the drive has.
+    /// Jaw command when holding, rad; so far below contact that the tissue is squeezed with about 2
+    /// N, not with all that the drive has.
     pub(super) grip_rad: f64,
     /// Time between the hold and the lift, s.
     pub(super) settle_s: f64,

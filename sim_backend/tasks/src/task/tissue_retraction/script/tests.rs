@@ -69,8 +69,8 @@ fn pulling_too_hard_loses_the_episode() {
 
 #[test]
 fn a_jaw_closed_with_all_its_effort_crushes_the_flap() {
-    // The hand goes where it would, but once the jaw is to close it closes as hard as it can: the drive alone gives
-    // 6.2 N to 6.6 N, and the swing of the jaw adds to that.
+    // The hand goes where it would, but once the jaw is to close it closes as hard as it can: the
+    // drive alone gives 6.2 N to 6.6 N, and the swing of the jaw adds to that.
     let episode = run(&task(), 1, |_, command| {
         if command.jaw_position < 0.2 {
             command.jaw_position = -0.3;

@@ -1,4 +1,5 @@
-//! The file that the simulator and MuJoCo share: parameters, loads, and what one of them made of these.
+//! The file that the simulator and MuJoCo share: parameters, loads, and what one of them made of
+//! these.
 
 use core::fmt::Write as _;
 

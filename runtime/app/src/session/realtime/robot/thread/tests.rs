@@ -38,7 +38,8 @@ fn the_arms_are_seen_where_they_were_when_the_frame_was_taken() {
     }
 }
 
-/// A policy of this process that is shown nothing ends the run, but not while the arms hold for frames.
+/// A policy of this process that is shown nothing ends the run, but not while the arms hold for
+/// frames.
 #[test]
 fn a_policy_that_is_shown_nothing_ends_the_run() {
     let channels = ThreadChannels::new((None, None), MonotonicClock::new());
@@ -104,8 +105,9 @@ fn show(camera: &mut FramePublisher, side: u32, stamp: TimeNs, grey: u8) {
     camera.publish_with(&header, blank).unwrap();
 }
 
-/// How a run of `seconds` ends whose only camera, of ours, does that, and whose arms are always measured; whether the arms were seen to hold
-/// for want of frames and then of an answer. A camera may be gone so many `times`.
+/// How a run of `seconds` ends whose only camera, of ours, does that, and whose arms are always
+/// measured; whether the arms were seen to hold for want of frames and then of an answer. A camera
+/// may be gone so many `times`.
 fn ended(does: Camera, seconds: f64, times: u32) -> (RobotEnd, bool) {
     let clock = MonotonicClock::new();
     let node = TopicNode::join(&format!("test-{}-{does:?}", std::process::id())).unwrap();
@@ -208,7 +210,8 @@ fn cameras_that_fail_end_the_run_by_name() {
     assert!(end.as_asked);
 }
 
-/// With restarts the arms hold while a camera is gone, and then until an answer comes to what it shows again.
+/// With restarts the arms hold while a camera is gone, and then until an answer comes to what it
+/// shows again.
 #[test]
 fn a_camera_may_come_back() {
     let (end, came_back) = ended(Camera::Returns, 600.0, 1);
