@@ -20,15 +20,16 @@ const TAKE_DOWN_CYCLES: u64 = 20;
 
 /// Seven drives on one to three buses.
 ///
-/// Everything is exchanged in one place, the [`Arm::read`] in which a SYNC is due: it takes what
-/// has come, sends the set-points that the newest [`Arm::write`] left and then the SYNC that puts
-/// them into effect. The answers to it are what is read from the next SYNC on, so a measurement is
-/// one cycle old. Who knows when that read comes may let the set-points leave as soon as they are
-/// there, by [`CanArm::send_before`]; then nothing stands before the SYNC, whose answers otherwise
-/// come later by the set-points' time on the bus. A cycle without a new command is one of the tail.
-/// A controller may be faster than the bus by a whole factor; between two SYNCs it reads the same
-/// measurement again, since half of the answers would have to be guessed. After a [`Fault`] the
-/// drives stop, and nothing enables them again but a new [`Offline`](super::Offline).
+/// Everything is exchanged in one place, [`CanArm::exchange`]: when a SYNC is due it takes what has
+/// come, sends the set-points that the newest [`Arm::write`] left and then the SYNC that puts them
+/// into effect. The answers to it are what the exchange of the next SYNC gives, so a measurement is
+/// one cycle old. Whoever paces the cycle knows when the next exchange comes, and lets the
+/// set-points leave as soon as they are there, by [`CanArm::send_before`]; then nothing stands
+/// before the SYNC, whose answers otherwise come later by the set-points' time on the bus. A cycle
+/// without a new command is one of the tail. A controller may be faster than the bus by a whole
+/// factor; between two SYNCs it reads the same measurement again, since half of the answers would
+/// have to be guessed. After a [`Fault`] the drives stop, and nothing enables them again but a new
+/// [`Offline`](super::Offline).
 #[derive(Debug)]
 pub struct CanArm<B> {
     bus: B,
@@ -138,8 +139,26 @@ impl<B: Bus> CanArm<B> {
         }
     }
 
-    /// Sends the set-points of the newest command, if a SYNC is due at the next read, `next`: of a
-    /// controller that is faster than the bus only the newest command before a SYNC is sent.
+    /// A period at `now`: the one place in which the arm exchanges with its drives. Begins a cycle
+    /// if a SYNC is due, otherwise only takes what has come.
+    ///
+    /// # Errors
+    /// As [`Arm::read`], which is this.
+    pub fn exchange(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
+        self.turn_if_due(now);
+        self.measured(now)
+    }
+
+    fn turn_if_due(&mut self, now: TimeNs) {
+        if self.cycle.is_due(now) {
+            self.turn(now);
+        } else {
+            self.receive(now);
+        }
+    }
+
+    /// Sends the set-points of the newest command, if a SYNC is due at the next exchange, `next`:
+    /// of a controller that is faster than the bus only the newest command before a SYNC is sent.
     pub fn send_before(&mut self, next: TimeNs) {
         if self.written && !self.sent && self.cycle.is_due(next) {
             for line in 0..self.plan.lines {
@@ -224,11 +243,7 @@ impl<B: Bus> CanArm<B> {
     /// thereafter. After a fault the drives stop first, as in every cycle after it.
     pub fn take_down(&mut self, now: TimeNs) -> bool {
         self.cycle.set_goal(now, Goal::Disabled);
-        if self.cycle.is_due(now) {
-            self.turn(now);
-        } else {
-            self.receive(now);
-        }
+        self.turn_if_due(now);
         self.cycle.is_down()
     }
 
@@ -260,12 +275,7 @@ impl<B: Bus> CanArm<B> {
 
 impl<B: Bus> Arm for CanArm<B> {
     fn read(&mut self, now: TimeNs) -> Result<ArmState, ArmError> {
-        if self.cycle.is_due(now) {
-            self.turn(now);
-        } else {
-            self.receive(now);
-        }
-        self.measured(now)
+        self.exchange(now)
     }
 
     fn write(&mut self, command: &ArmCommand, tail: &SafeTail) -> Result<(), ArmError> {

@@ -1,7 +1,7 @@
 //! Drives on CAN, paced by the clock. Hot path: bounded, no allocation, no lock; its system calls
 //! are the arms' sockets.
 
-use hal::{ARM_NAMES, Arm as _, Measured, PerArm, Period, Rig, Setpoint, TICK_NS, TimeNs};
+use hal::{ARM_NAMES, Arm as _, PerArm, Period, Rig, Setpoint, TICK_NS, TimeNs};
 use trocar_canopen::master::cycle::LINES_MAX;
 use trocar_canopen::master::{CanArm, Fault};
 use trocar_canopen::socket::SocketBus;
@@ -82,16 +82,6 @@ impl CanRig {
         self.arms.iter_mut().for_each(CanArm::shut_down);
     }
 
-    fn read(&mut self, now: TimeNs) -> PerArm<Measured> {
-        let PerArm { first, second } = &mut self.arms;
-        let measured = PerArm {
-            first: first.read(now),
-            second: second.as_mut().map(|arm| arm.read(now)),
-        };
-        self.notice(now);
-        measured
-    }
-
     fn notice(&mut self, now: TimeNs) {
         let happened = self.arms.as_ref().map(|arm| CanStatus {
             fault: arm.fault(),
@@ -116,7 +106,12 @@ impl Rig for CanRig {
             arm.send_before(self.periodic.next());
         }
         let wake = self.periodic.wait();
-        let measured = self.read(wake.due);
+        let PerArm { first, second } = &mut self.arms;
+        let measured = PerArm {
+            first: first.exchange(wake.due),
+            second: second.as_mut().map(|arm| arm.exchange(wake.due)),
+        };
+        self.notice(wake.due);
         wake.period(Some(measured))
     }
 }

@@ -410,6 +410,21 @@ pub(super) fn is_off(organ: &Organ, middle: &Point3<f64>, sink_m: f64) -> bool {
     !organ.covers(middle.x, middle.y) || height_m < -sink_m
 }
 
+/// Free space between `organ` and a wire of `radius_m` at its lowest point, m; negative where it is
+/// below the surface. `wire` is points of its centre line, needle frame.
+pub(super) fn clearance_m(
+    wire: &[Point3<f64>],
+    radius_m: f64,
+    needle_in_scene: &Pose,
+    organ: &Organ,
+) -> f64 {
+    let clearances_m = wire.iter().map(|point| {
+        let point = needle_in_scene * point;
+        point.z - organ.height_m(point.x, point.y) - radius_m
+    });
+    clearances_m.fold(f64::INFINITY, f64::min)
+}
+
 /// For how long the goal has been met without a break.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct DwellTimer {

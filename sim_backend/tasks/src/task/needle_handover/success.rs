@@ -8,7 +8,7 @@ use trocar_world::needle::NeedleShape;
 use trocar_world::organ::Organ;
 
 use super::NeedleHandover;
-use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard, is_off, seconds};
+use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard, clearance_m, is_off, seconds};
 use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
 /// How long the needle may be between no arm's fingers before it counts as dropped, s: contacts
@@ -125,7 +125,8 @@ impl SuccessMonitor {
         };
         let force_n = holder.left_force_n.min(holder.right_force_n);
         let alone = other.left_force_n <= 0.0 && other.right_force_n <= 0.0;
-        let clearance_m = self.clearance_m(needle);
+        let radius_m = self.needle.wire_radius_m;
+        let clearance_m = clearance_m(&self.wire, radius_m, needle, &self.organ);
         let (force, clear) = ("force of each finger", "wire clear of the organ");
         let held = all
             .so(fingers, holder.both_touch)
@@ -137,15 +138,6 @@ impl SuccessMonitor {
         }
         let away_m = self.away_m(needle, &sight.tips_in_scene[0]);
         held.at_least("first arm away from the wire", "m", away_m, config.away_m)
-    }
-
-    /// Free space between the wire and the organ at its lowest point, m.
-    fn clearance_m(&self, needle_in_scene: &Pose) -> f64 {
-        let clearances_m = self.wire.iter().map(|point| {
-            let point = needle_in_scene * point;
-            point.z - self.organ.height_m(point.x, point.y) - self.needle.wire_radius_m
-        });
-        clearances_m.fold(f64::INFINITY, f64::min)
     }
 
     /// How far the giver's hand is away from the wire, m.

@@ -1,13 +1,12 @@
 //! Decides whether the needle has been lifted, and catches what would only look like it.
 
-use hal::Pose;
 use hal::config::{ConfigError, Source};
 use nalgebra::Point3;
 use serde::Deserialize;
 use trocar_world::needle::NeedleShape;
 use trocar_world::organ::Organ;
 
-use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard, is_off};
+use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard, clearance_m, is_off};
 use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
 /// What counts as a lifted needle, and what ends the episode at once.
@@ -98,7 +97,8 @@ impl SuccessMonitor {
         let (config, grasp) = (&self.config, &sight.grasps[0]);
         let middle = sight.thing_in_scene * self.middle;
         let height_m = middle.z - self.organ.height_m(middle.x, middle.y);
-        let clearance_m = self.clearance_m(&sight.thing_in_scene);
+        let (wire, radius_m) = (&self.wire, self.wire_radius_m);
+        let clearance_m = clearance_m(wire, radius_m, &sight.thing_in_scene, &self.organ);
         let force_n = grasp.left_force_n.min(grasp.right_force_n);
         let (force, height) = ("force of each finger", "height above the organ");
         Criteria::default()
@@ -111,15 +111,6 @@ impl SuccessMonitor {
                 clearance_m,
                 config.clearance_m,
             )
-    }
-
-    /// Free space between the wire and the organ at its lowest point, m.
-    fn clearance_m(&self, needle_in_scene: &Pose) -> f64 {
-        self.wire
-            .iter()
-            .map(|point| needle_in_scene * point)
-            .map(|point| point.z - self.organ.height_m(point.x, point.y) - self.wire_radius_m)
-            .fold(f64::INFINITY, f64::min)
     }
 }
 
