@@ -1,4 +1,8 @@
 //! The verbs: arguments in, library calls, results out. `Ok(false)` means that the job failed.
+//!
+//! What takes more than a few lines has a module of its own beside this one (`eval`, `record`,
+//! `train`, `replay` and others), whose functions have the same form; `main` calls each of them
+//! once.
 
 use std::path::Path;
 
@@ -30,8 +34,15 @@ use crate::drives::can_source;
 use crate::run_report::{import_hint, last_words, nearest, report_run};
 use crate::scene_args::Inputs;
 
+/// How a verb ended: `Ok(true)` is exit code 0, `Ok(false)` 1. An error is said on standard error
+/// and is 2 if `SessionError::is_bad_input`, else 1.
 pub(crate) type Done = Result<bool, SessionError>;
 
+/// The libtorch device of `--device`; CUDA is always the process' first one, which
+/// `CUDA_VISIBLE_DEVICES` chooses.
+///
+/// # Errors
+/// `BadArgument` for `cuda` where this libtorch has no CUDA or sees no device.
 pub(crate) fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
     match choice {
         ComputeDevice::Cpu => Ok(Device::Cpu),
@@ -42,7 +53,11 @@ pub(crate) fn device(choice: ComputeDevice) -> Result<Device, SessionError> {
     }
 }
 
-/// Leaves a core to the control, if there are two.
+/// Leaves a core to the control, if there are two. On a machine with one core the network has that
+/// one.
+///
+/// # Errors
+/// `BadArgument` for more threads than that, or a device that is not there.
 pub(crate) fn compute(args: &ComputeArgs) -> Result<Compute, SessionError> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let most = cores.saturating_sub(1).max(1);
@@ -62,6 +77,7 @@ pub(crate) fn compute(args: &ComputeArgs) -> Result<Compute, SessionError> {
     })
 }
 
+/// The codec of `--video`, in which `ffmpeg` writes an exported dataset's videos.
 pub(crate) const fn codec(video: Video) -> VideoCodec {
     match video {
         Video::H264 => VideoCodec::H264,
@@ -72,7 +88,11 @@ pub(crate) const fn codec(video: Video) -> VideoCodec {
 /// The files that a task is configured by.
 const TASK_FILES: [ConfigFile; 3] = [ConfigFile::Control, ConfigFile::Safety, ConfigFile::Scene];
 
-/// `config/realtime.toml`, or `file` in its place, with `changes`.
+/// `config/realtime.toml`, or `file` in its place, with `changes`. Changes to other files are left
+/// alone: whoever calls this says which files may be changed.
+///
+/// # Errors
+/// From reading the file, or of a change whose key it lacks.
 pub(crate) fn realtime_source(
     file: Option<&Path>,
     changes: &Changes,
@@ -85,13 +105,17 @@ pub(crate) fn realtime_source(
 }
 
 /// What is to be changed in a task's files.
+///
+/// # Errors
+/// If one is of another file than the controller's, the limits or the scene.
 pub(crate) fn task_changes(set: &[Change]) -> Result<Changes, SessionError> {
     let changes = Changes(set.to_owned());
     changes.only(&TASK_FILES)?;
     Ok(changes)
 }
 
-/// Says what is waited for if the policy is in another process.
+/// Says what is waited for if the policy is in another process. One line for each of `jobs`, since
+/// each waits on topics of its own. Other policies say nothing.
 pub(crate) fn note_awaited(policy: &PolicyChoice, jobs: usize) {
     if let PolicyChoice::External(choice) = policy {
         for index in 0..jobs {
@@ -112,6 +136,15 @@ pub(crate) fn warn_of_transfer(setup: &Setup) {
     }
 }
 
+/// `trocar run`. Options are checked against each other and against the files that they name before
+/// anything is opened; then the console listens, so that a page may wait for the arms; then the
+/// arms are brought up.
+///
+/// A page that is open hears of the end in either case: of the verdict, or of the error.
+///
+/// # Errors
+/// Bad options; whatever ends the run; and of a run that ended well, a log that could not be
+/// written, if `--log` asked for it.
 pub(crate) fn run(args: &RunArgs) -> Done {
     if (args.latency_ms.is_some() || args.latency_jitter_ms > 0) && !args.lockstep {
         return Err(SessionError::BadArgument(
@@ -189,6 +222,10 @@ fn check_stereo(args: &RunArgs) -> Result<(), SessionError> {
 
 /// An operator's hands come over the console or from devices, in real time; those of devices may
 /// take over from any policy.
+///
+/// # Errors
+/// `BadArgument` with the option that can't be meant so: hands in virtual time, hands that come
+/// from nowhere, or a robot of which it is not said in whose axes hands move.
 fn check_teleop(args: &RunArgs, policy: &PolicyChoice) -> Result<(), SessionError> {
     let (teleop, at_desk) = (*policy == PolicyChoice::Teleop, args.desk.is_given());
     let hands = args.page.console.is_some() || at_desk;
@@ -206,6 +243,8 @@ fn check_teleop(args: &RunArgs, policy: &PolicyChoice) -> Result<(), SessionErro
 }
 
 /// What is read and checked of a run's arguments before its arms.
+///
+/// Both kinds of run, of a task and of a robot, have it.
 struct Chosen {
     policy: PolicyChoice,
     compute: Compute,
@@ -213,7 +252,9 @@ struct Chosen {
     page: Option<Console>,
 }
 
-/// The plan of a run with the arms of `setup`.
+/// The plan of a run with the arms of `setup`. A log that nobody asked for (`black_box`) is
+/// bounded, and has no frames of simulated cameras. A topics name of simulated arms is where
+/// others' cameras are awaited; elsewhere it names the arms.
 fn planned<S>(args: &RunArgs, setup: S, chosen: Chosen) -> Plan<S> {
     let log = black_box::log_of(args);
     Plan {
@@ -233,6 +274,10 @@ fn planned<S>(args: &RunArgs, setup: S, chosen: Chosen) -> Plan<S> {
     }
 }
 
+/// A run of a task: in lockstep, or in real time with simulated arms or those of `remote`.
+///
+/// A person who teleoperates has longer than the task says, but not where the world is elsewhere:
+/// that one ends the episode itself.
 fn run_task(
     task: &str,
     args: &RunArgs,
@@ -274,6 +319,12 @@ fn run_task(
     planned(args, setup, chosen).run(&backend, &console::note)
 }
 
+/// A run of a robot without a task, whose limits are the file `safety`: it has no scene, no verdict
+/// and no simulator, so that its arms are always `remote`. It ends by an operator, after
+/// `--seconds`, or by a fault.
+///
+/// # Errors
+/// `BadArgument` without arms, for the cameras of a task, or for hands that nothing moves.
 fn run_robot(
     safety: &Path,
     args: &RunArgs,
@@ -332,6 +383,10 @@ enum RemoteArms {
 }
 
 /// Where the arms are, if they are not simulated here.
+///
+/// # Errors
+/// `BadArgument` if the backend does not go with `--lockstep` or `--can-config`; what is wrong with
+/// the CAN configuration.
 fn remote_arms(args: &RunArgs) -> Result<Option<RemoteArms>, SessionError> {
     let wrong = |reason: &str| Err(SessionError::BadArgument(reason.to_owned()));
     let topics = args.topics.as_deref().unwrap_or(DEFAULT_TOPICS);
@@ -358,6 +413,14 @@ fn remote_arms(args: &RunArgs) -> Result<Option<RemoteArms>, SessionError> {
     }
 }
 
+/// `trocar verify`: checks every logged command against the limits, by the code of `trocar-verify`,
+/// which shares none with the controller.
+///
+/// At most ten violations are printed; the JSON has all. A log whose bound left ticks out is
+/// `partial`: that fails unless `--part` says that a part will do.
+///
+/// # Errors
+/// A log that can't be read, or, without `--part`, one that was cut off.
 pub(crate) fn verify(VerifyArgs { log: args, part }: &VerifyArgs) -> Done {
     check_result(args)?;
     forget_result(args)?;
@@ -395,12 +458,18 @@ pub(crate) fn verify(VerifyArgs { log: args, part }: &VerifyArgs) -> Done {
 }
 
 /// The result must not take the place of the log.
+///
+/// # Errors
+/// `BadArgument` if `--json` names the log itself, also by another path.
 pub(crate) fn check_result(args: &LogArgs) -> Result<(), SessionError> {
     let log = ("the log", Some(args.file.as_path()));
     outputs::check(&[("--json", args.json.as_deref())], &[log])
 }
 
 /// A result of before must not be taken for that of a log that can't be read.
+///
+/// # Errors
+/// `BadArgument` if the file can't be removed. One that is not there is no error.
 pub(crate) fn forget_result(args: &LogArgs) -> Result<(), SessionError> {
     let Some(path) = args.json.as_deref().filter(|path| path.is_file()) else {
         return Ok(());
@@ -409,7 +478,8 @@ pub(crate) fn forget_result(args: &LogArgs) -> Result<(), SessionError> {
     gone.map_err(|error| SessionError::BadArgument(format!("--json {}: {error}", path.display())))
 }
 
-/// An incomplete log is bad input, even though what is there was used.
+/// An incomplete log is bad input, even though what is there was used. `cut` says where it ends and
+/// why; `None` passes.
 pub(crate) fn refuse_cut(cut: Option<&str>, args: &LogArgs) -> Result<(), SessionError> {
     let Some(reason) = cut else {
         return Ok(());
@@ -420,7 +490,8 @@ pub(crate) fn refuse_cut(cut: Option<&str>, args: &LogArgs) -> Result<(), Sessio
     })
 }
 
-/// The device that the renderer really opens.
+/// The device that the renderer really opens. It makes the cameras of a small task for that, since
+/// a device may be listed and still refuse.
 fn graphics() -> Result<String, String> {
     let task = TaskConfig::built_in("needle-lift").map_err(|error| error.to_string())?;
     let cameras = SceneCameras::new(&task).map_err(|error| error.to_string())?;
@@ -440,6 +511,8 @@ fn networks() -> Result<String, String> {
     ))
 }
 
+/// `trocar doctor`: what the machine offers, with the renderer and the network library as probes,
+/// which the library's own `doctor` does not link. It is done whatever it finds.
 pub(crate) fn doctor(args: &DoctorArgs) -> Done {
     let findings = doctor::examine(&Probes {
         graphics: &graphics,
@@ -452,6 +525,8 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Done {
     Ok(true)
 }
 
+/// `trocar demo`: one task in lockstep and in real time, both replayed and verified, with a
+/// picture.
 pub(crate) fn demo(args: &DemoArgs) -> Done {
     let plan = demo::plan(&args.task, args.policy.as_deref(), args.seed)?;
     let result = demo::run(&plan, &args.out, &mut |line| console::note(line))?;
@@ -484,6 +559,8 @@ pub(crate) fn demo(args: &DemoArgs) -> Done {
     Ok(result.lockstep.summary.success == Some(true) && sound)
 }
 
+/// The hidden verb of a run in real time's own child, which holds the network: see
+/// `session/realtime`. It ends when its parent does.
 pub(crate) fn policy_process(args: &PolicyProcessArgs) -> Done {
     realtime::serve_policy(&PolicyProcessOptions {
         run_id: args.run_id.clone(),

@@ -75,6 +75,12 @@ pub(crate) struct EvalArgs {
     pub(crate) compute: ComputeArgs,
 }
 
+/// `trocar eval`. Trials run in lockstep, `--jobs` at a time, and come in the order of their seeds
+/// whatever the order in which they end: of a policy in this process the result does not depend on
+/// `--jobs`.
+///
+/// Ctrl-C abandons the trials under way: the result of those that were done is written, and the exit
+/// code is 1, as it is if `--min-rate` or `--min-wilson` is not met.
 pub(crate) fn eval(args: &EvalArgs) -> Done {
     let keep = keep(args)?;
     Inputs::new([
@@ -132,6 +138,9 @@ pub(crate) fn eval(args: &EvalArgs) -> Done {
 }
 
 /// Which trials are to be kept, as it was typed.
+///
+/// # Errors
+/// `BadArgument` if `--keep` is given twice, or its first word is neither `failures` nor `all`.
 fn keep(args: &EvalArgs) -> Result<Option<Keep>, SessionError> {
     let (choice, folder) = match &args.keep[..] {
         [] => return Ok(None),
@@ -159,7 +168,9 @@ fn keep(args: &EvalArgs) -> Result<Option<Keep>, SessionError> {
 /// Says how far an evaluation is: a bar on a terminal, elsewhere a line a trial.
 struct Progress {
     bar: ProgressBar,
+    /// Trials in all.
     asked: usize,
+    /// How those ended that are done; invalid ones are counted apart.
     score: Score,
     done: usize,
 }
@@ -174,6 +185,8 @@ impl Progress {
         }
     }
 
+    /// Takes in a trial that has ended. On a terminal only those that were lost are named, above
+    /// the bar.
     fn trial(&mut self, trial: &TrialSummary) {
         self.done += 1;
         self.score.add(trial);

@@ -1,4 +1,4 @@
-//! The verb `export`.
+//! The verb `export`. A dataset of ours in the form of another project's.
 
 use std::path::PathBuf;
 
@@ -61,6 +61,11 @@ pub(crate) struct OpenHArgs {
     json: Option<PathBuf>,
 }
 
+/// `trocar export open-h`. All checks come before the folder is made: two datasets that are one, an
+/// output inside of its own input, a `--json` that would overwrite something.
+///
+/// # Errors
+/// Such options; a dataset that can't be read; `ffmpeg` that is missing or fails.
 pub(crate) fn export(verb: &ExportVerb) -> Done {
     let ExportVerb::OpenH(args) = verb;
     let dataset = ("the dataset", Some(args.dataset.as_path()));

@@ -2,6 +2,10 @@
 //! exit code.
 //!
 //! Exit codes: 0 done, 1 failed at its job, 2 bad usage or bad input.
+//!
+//! A verb is a `Verb` with its arguments (`args`), a function in a module of its own or in
+//! `commands`, and a line in `done`. What it prints goes through `console`, which keeps standard
+//! output to results.
 
 mod about;
 mod anatomy;
@@ -58,6 +62,8 @@ fn panics_end_the_program() {
     }));
 }
 
+/// It ends without destructors and without libtorch's own clean-up: what has to be written is on
+/// disk by then.
 fn main() {
     rt::quieten_mesa();
     panics_end_the_program();
@@ -65,6 +71,11 @@ fn main() {
 }
 
 /// Does what the command line says; the program's exit code.
+///
+/// The order matters: a child of a study asks to die with its parent first of all; only what clap
+/// accepts is looked at further; and where JSON goes to standard output nothing else may be printed
+/// there before. A result that could not be printed is exit code 1, though the verb has done its
+/// job.
 fn exit_code() -> u8 {
     if let Err(error) = trocar::study::child::end_with_parent() {
         console::error(&error);
@@ -98,6 +109,8 @@ fn exit_code() -> u8 {
 }
 
 /// Does what `verb` says; whether it was done.
+///
+/// Verbs of the operator are sent to the run's socket by `operator`, and all others run here.
 fn done(verb: &Verb) -> Result<bool, SessionError> {
     match verb {
         Verb::Run(args) => commands::run(args),

@@ -1,11 +1,12 @@
-//! What an exported dataset's README says of recordings that the simulator made.
+//! What an exported dataset's README says of recordings that the simulator made. Its fields are
+//! those of Open-H-Embodiment's dataset card, in that card's own words.
 
 use serde_json::Value;
 use trocar_data::dataset::Notes;
 use trocar_data::export::Provenance;
 
 /// Of a recording whose options are noted, which are those of `trocar record`; of any other nothing
-/// is known.
+/// is known. A default leaves them in brackets, to be filled in by whoever publishes the dataset.
 pub(crate) fn provenance(notes: &Notes) -> Provenance {
     let Some(options) = notes.options.as_ref() else {
         return Provenance::default();
@@ -45,6 +46,8 @@ fn dimensions(varied: &[&str]) -> Vec<&'static str> {
     dimensions
 }
 
+/// In words: what lies elsewhere in each episode, and which variations (`--vary`) were drawn with
+/// it.
 fn variation(seed: u64, varied: &[&str]) -> String {
     let more = match varied.is_empty() {
         true => String::new(),

@@ -1,4 +1,5 @@
-//! `trocar replay`: a log recomputed and shown, or a dataset.
+//! `trocar replay`: a log recomputed and shown, or a dataset. With `--console` or `--foxglove` it
+//! stays until Ctrl-C, and shows a log also if it differs from what is computed again.
 
 use serde::Serialize;
 use trocar::rt;
@@ -14,6 +15,10 @@ use crate::console;
 /// Time between two looks at whether a signal has come, ns.
 const CONSOLE_POLL_NS: u64 = 50_000_000;
 
+/// A folder is taken for a dataset, anything else for a log.
+///
+/// # Errors
+/// What can't be read; of a log that was cut off also, after what there is has been recomputed.
 pub(crate) fn replay(args: &ReplayArgs) -> Done {
     if args.log.file.is_dir() {
         return look_through(args);
@@ -75,7 +80,7 @@ fn look_through(args: &ReplayArgs) -> Done {
     Ok(true)
 }
 
-/// Waits for Ctrl-C while a page shows `what`.
+/// Waits for Ctrl-C while a page shows `what`. A page that is closed meanwhile may be opened again.
 fn until_interrupted(what: &str) -> Result<(), SessionError> {
     rt::catch_interrupts().map_err(SessionError::signals)?;
     console::note(&format!("trocar: {what} is shown; Ctrl-C ends it"));
@@ -85,6 +90,12 @@ fn until_interrupted(what: &str) -> Result<(), SessionError> {
     Ok(())
 }
 
+/// Recomputes every tick of the log with the controller of its configuration and compares commands
+/// bit for bit; the first difference is printed and makes it fail.
+///
+/// # Errors
+/// A log that can't be read, or one that is cut off. One that its own bound has cut is whole as far
+/// as it goes, if the inputs of what it kept could be checked.
 fn replay_log(args: &LogArgs) -> Done {
     check_result(args)?;
     forget_result(args)?;

@@ -1,4 +1,5 @@
-//! How a run went, on the terminal.
+//! How a run went, on the terminal. Every verb that runs something says it in these lines; scripts
+//! read `--json` instead.
 
 use trocar::session::summary::{CanArmSummary, CanBusSummary, RealTimeCounts, RunSummary};
 use trocar::session::teleop::TeleopSummary;
@@ -8,7 +9,9 @@ use trocar_log::RunMark;
 use crate::args::RunArgs;
 use crate::console;
 
-/// Says how a run went, on the terminal.
+/// Says how a run went, on the terminal. The lines of teleoperation, of real time and of each CAN
+/// arm come only where the run had that. The command hash is last: two lockstep runs are the same
+/// if theirs is.
 pub(crate) fn report_run(summary: &RunSummary) {
     let verdict = match summary.success {
         Some(true) => format!("{}: success", summary.task),
@@ -71,6 +74,8 @@ pub(crate) fn import_hint(args: &RunArgs, summary: &RunSummary) -> Option<String
     ))
 }
 
+/// Of one arm: how much of each bus' bit rate its schedule takes, in percent with one decimal, and
+/// what was missed, late or rejected; then warnings of its buses and of itself.
 fn report_can(arm: &CanArmSummary) {
     let buses: Vec<String> = arm
         .buses
@@ -101,6 +106,8 @@ fn report_can(arm: &CanArmSummary) {
     }
 }
 
+/// How often hands engaged and were made to let go, and both latencies as far as they were
+/// measured.
 fn report_teleop(teleop: &TeleopSummary) {
     let latency = teleop.hand_to_command_ms.map_or_else(
         || "no hand was followed".to_owned(),
@@ -118,6 +125,8 @@ fn report_teleop(teleop: &TeleopSummary) {
     ));
 }
 
+/// What the operating system did to the control thread: skipped periods, wake-up latency, and what
+/// must be zero in a sound run, allocations and page faults.
 fn report_real_time(real_time: &RealTimeCounts) {
     let (wake, thread) = (&real_time.wake_us, &real_time.thread);
     console::result(&format!(
@@ -134,7 +143,8 @@ fn report_real_time(real_time: &RealTimeCounts) {
     ));
 }
 
-/// What the measured arms came nearest to, and how long they were beyond anything.
+/// What the measured arms came nearest to, and how long they were beyond anything. Clearance is the
+/// distance to a limit, m, negative beyond it; `total_cmp` puts a NaN last.
 pub(crate) fn nearest(measured: &[MeasuredClearance]) -> String {
     let least = measured
         .iter()

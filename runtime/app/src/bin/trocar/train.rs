@@ -19,6 +19,15 @@ use crate::console;
 use crate::scene_args::Inputs;
 use crate::train_args::{Backbone, Network, TrainArgs, TrainingRecipe};
 
+/// `trocar train`: a new training, or with `--resume` the rest of one, whose options are in its
+/// folder and not repeated here.
+///
+/// On SIGINT the training keeps its state in the folder and ends as an error; `--resume` goes on
+/// from there.
+///
+/// # Errors
+/// Missing or contradicting options, a dataset that can't be read or does not fit the network, a
+/// loss that is no longer finite.
 pub(crate) fn train(args: &TrainArgs) -> Done {
     Inputs::new([("--out", args.out.as_ref())])
         .and_each("--data", &args.data)
@@ -44,6 +53,8 @@ pub(crate) fn train(args: &TrainArgs) -> Done {
     Ok(true)
 }
 
+/// What came of it: the last loss, and the checkpoint with the best success rate if the training
+/// evaluated any.
 fn report(result: &TrainingResult, out: &Path) {
     console::result(&format!(
         "trained {} steps, final loss {:.5}, {}",
@@ -67,6 +78,8 @@ fn missing_options() -> SessionError {
     SessionError::BadArgument("--policy, --data and --out are needed, or --resume".to_owned())
 }
 
+/// The library's options from those of the command line. Without `--preset` it is the network's
+/// usual one: `small` of ACT, `paper` of DP3. The whole command line is kept with the checkpoint.
 fn training_options(
     args: &TrainArgs,
     network: Network,
@@ -126,7 +139,8 @@ fn training_options(
 /// Time between two lines where there is no terminal, s.
 const LINE_EVERY_S: f64 = 5.0;
 
-/// Says how far a training is: a bar on a terminal, elsewhere a line every few seconds.
+/// Says how far a training is: a bar on a terminal, elsewhere a line every few seconds. The bar
+/// counts frames while images are decoded, then steps.
 struct Progress {
     bar: ProgressBar,
     clock: MonotonicClock,
@@ -143,6 +157,7 @@ impl Progress {
         }
     }
 
+    /// Where there is no terminal each report is a line: they come seldom enough.
     fn reading(&mut self, frames: usize, of: usize, seconds: f64) {
         if self.bar.is_hidden() {
             let line = format!("{frames} of {of} frames decoded; {seconds:.0} s");
@@ -151,6 +166,8 @@ impl Progress {
         self.at(frames as u64, of as u64);
     }
 
+    /// Dispatches one report of the training's thread. Notes and warnings suspend the bar, so that
+    /// it is not drawn into them.
     fn news(&mut self, news: &TrainingProgress<'_>) {
         match *news {
             TrainingProgress::Note(line) => self.bar.suspend(|| console::note(line)),
@@ -175,6 +192,8 @@ impl Progress {
         }
     }
 
+    /// The loss, samples a second and the time that is left; elsewhere than on a terminal a line is
+    /// due every `LINE_EVERY_S`, and one at the last step that has a row in `loss.csv`.
     fn standing(&mut self, standing: &TrainingStatus) {
         if self.bar.is_hidden() {
             let now = self.clock.now().seconds();
@@ -197,6 +216,7 @@ impl Progress {
         self.at(standing.step, standing.steps);
     }
 
+    /// Where the bar stands; its length may change, since frames and steps share it.
     fn at(&self, position: u64, length: u64) {
         self.bar.set_length(length);
         self.bar.set_position(position);
