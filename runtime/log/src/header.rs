@@ -65,7 +65,7 @@ pub struct RunOutcome {
 }
 
 /// What a person says of a run that no task judges.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RunNote {
     /// How it went, if they say so.
     pub mark: Option<RunMark>,

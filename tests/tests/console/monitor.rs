@@ -1,5 +1,5 @@
 //! `trocar monitor` in a pseudo-terminal: it shows a run that has no console, and its keys steer
-//! it.
+//! it; what the run refuses is on the screen.
 
 use std::io::{Read as _, Write as _};
 use std::process::{Child, Command, Stdio};
@@ -93,6 +93,9 @@ fn the_monitor_shows_a_run_and_its_keys_steer_it() {
     sent.wait_for("ENABLED");
     sent.wait_for("insertion");
     let mut keys = monitor.0.stdin.take().unwrap();
+    // A task judges this run.
+    keys.write_all(b"y").unwrap();
+    sent.wait_for("judges");
     keys.write_all(b"p").unwrap();
     sent.wait_for("PAUSED");
     keys.write_all(b"s").unwrap();

@@ -43,8 +43,13 @@ pub(super) fn screen(frame: &mut Frame<'_>, screen: &Screen) {
             above,
         );
     }
-    frame.render_widget(Line::styled(screen.answer.as_str(), HEAD), answer);
-    frame.render_widget(key_line(), keys);
+    let tone = if screen.answer.contains(": error: ") {
+        BAD
+    } else {
+        HEAD
+    };
+    frame.render_widget(Line::styled(screen.answer.as_str(), tone), answer);
+    frame.render_widget(key_line(screen.note().is_some()), keys);
 }
 
 fn title_line(screen: &Screen) -> Line<'_> {
@@ -215,6 +220,9 @@ fn safety_lines(state: &State) -> Vec<Line<'_>> {
     if let Some(task) = &state.task {
         lines.push(Line::raw(format!("task    {task}")));
     }
+    if let Some(said) = &state.said {
+        lines.push(Line::raw(format!("run     {said}")));
+    }
     lines
 }
 
@@ -233,7 +241,20 @@ fn rows_line(state: &State) -> Line<'_> {
     Line::styled(format!("rows    {rows}{more} ({ago_s:.1} s ago)"), style)
 }
 
-fn key_line() -> Line<'static> {
+/// The keys. Where the run takes a mark, the marks stand in place of `enable` and `clear`: such a
+/// run refuses both.
+fn key_line(takes_mark: bool) -> Line<'static> {
+    const WITH_MARKS: [(&str, &str); 9] = [
+        ("p", "pause"),
+        ("r", "resume"),
+        ("d", "disable"),
+        ("y", "success"),
+        ("z", "failure"),
+        ("x", "discard"),
+        ("-+", "speed"),
+        ("q", "quit"),
+        ("s", "stop (no emergency stop)"),
+    ];
     const KEYS: [(&str, &str); 8] = [
         ("p", "pause"),
         ("r", "resume"),
@@ -244,9 +265,14 @@ fn key_line() -> Line<'static> {
         ("q", "quit"),
         ("s", "stop (no emergency stop)"),
     ];
-    let key = |(key, does): (&'static str, &str)| {
+    let keys = if takes_mark {
+        &WITH_MARKS[..]
+    } else {
+        &KEYS[..]
+    };
+    let key = |&(key, does): &(&'static str, &'static str)| {
         let key = Span::styled(key, Style::new().add_modifier(Modifier::REVERSED));
         [key, Span::raw(format!(" {does} "))]
     };
-    Line::from_iter(KEYS.into_iter().flat_map(key))
+    Line::from_iter(keys.iter().flat_map(key))
 }

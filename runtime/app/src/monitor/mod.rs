@@ -21,6 +21,7 @@ use crate::session::SessionError;
 use crate::session::operator::{Command, Query, QueryClient};
 use seen::{Facts, State};
 use trocar_control::OperatorEvent;
+use trocar_log::{RunMark, RunNote};
 
 /// Time from one look to the next.
 const LOOK: Duration = Duration::from_millis(100);
@@ -37,6 +38,13 @@ struct Screen {
     buses: Buses,
     /// The last key's command, and what the run answered.
     answer: String,
+}
+
+impl Screen {
+    /// What a person says of the run; none if it takes no mark.
+    fn note(&self) -> Option<&RunNote> {
+        self.state.as_ref()?.said.as_ref()
+    }
 }
 
 /// What a key asks for.
@@ -107,7 +115,8 @@ fn show(
             continue;
         };
         let percent = screen.state.as_ref().map(|state| state.speed_percent);
-        match wish(key, percent.unwrap_or(100)) {
+        let mark = screen.note().and_then(|note| note.mark);
+        match wish(key, percent.unwrap_or(100), mark) {
             Some(KeyAction::Quit) => return Ok(()),
             Some(KeyAction::Send(command)) => screen.answer = said(client, &command),
             None => {}
@@ -127,8 +136,8 @@ fn said(client: &QueryClient, command: &Command) -> String {
     format!("{command}: {answer}")
 }
 
-/// What `key` asks for, of a run whose speed limits are at `percent`.
-fn wish(key: KeyEvent, percent: u8) -> Option<KeyAction> {
+/// What `key` asks for, of a run whose speed limits are at `percent` and whose mark is `mark`.
+fn wish(key: KeyEvent, percent: u8, mark: Option<RunMark>) -> Option<KeyAction> {
     if key.kind != KeyEventKind::Press {
         return None;
     }
@@ -149,9 +158,22 @@ fn wish(key: KeyEvent, percent: u8) -> Option<KeyAction> {
         'c' => OperatorEvent::Clear,
         '-' => speed(percent.saturating_sub(SPEED_STEP).max(1)),
         '+' => speed(percent.saturating_add(SPEED_STEP).min(100)),
-        _ => return None,
+        _ => return marks(letter, mark).map(KeyAction::Send),
     };
     Some(KeyAction::Send(Command::Event(event)))
+}
+
+/// The mark that a key sets, with the letters of the console's page; the key of the mark that the
+/// run has (`set`) takes it back.
+fn marks(letter: char, set: Option<RunMark>) -> Option<Command> {
+    let mark = match letter {
+        'y' => RunMark::Success,
+        'z' => RunMark::Failure,
+        'x' => RunMark::Discard,
+        _ => return None,
+    };
+    let mark = Some(mark).filter(|mark| set != Some(*mark));
+    Some(Command::Mark { mark, label: None })
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! console get.
 
 use serde::Deserialize;
+use trocar_log::RunNote;
 
 /// What does not change.
 #[derive(Clone, Debug, Deserialize)]
@@ -39,6 +40,8 @@ pub(super) struct State {
     pub(super) speed_percent: u8,
     /// What the task still lacks, where it is known.
     pub(super) task: Option<String>,
+    /// What a person says of a run that no task judges; none of a run that takes no mark.
+    pub(super) said: Option<RunNote>,
 }
 
 /// One arm, in joint order with the jaw last.

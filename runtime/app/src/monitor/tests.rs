@@ -109,6 +109,21 @@ fn everything_fits_a_small_terminal() {
     }
 }
 
+/// A run that no task judges has its mark, and the keys of marks in place of those that it refuses.
+#[test]
+fn a_run_that_takes_a_mark_shows_mark_and_keys() {
+    let mut robot = state();
+    robot["task"] = Value::Null;
+    robot["said"] = json!({ "mark": "failure", "label": "third try" });
+    let drawn = drawn(&screen_of(Some(robot)), (100, 30));
+    for text in [
+        "run     marked failure, label \"third try\"",
+        "p pause r resume d disable y success z failure x discard -+ speed q quit s stop (no emergency",
+    ] {
+        assert!(drawn.contains(text), "{text} is not in\n{drawn}");
+    }
+}
+
 /// Every size of a terminal is drawn without a panic, and a run that has not begun is.
 #[test]
 fn every_size_is_drawn() {
@@ -121,10 +136,32 @@ fn every_size_is_drawn() {
     assert!(waiting.contains("Trocar needle-handover"), "{waiting}");
 }
 
+fn said(text: &str) -> Option<KeyAction> {
+    Some(KeyAction::Send(text.parse().unwrap()))
+}
+
+/// The letters are those of the console's page, and as there the mark that is set is taken back.
+#[test]
+fn a_run_is_marked_by_the_keys_of_the_page() {
+    let page = include_str!("../console/page/index.html");
+    for (key, mark) in [
+        ('y', RunMark::Success),
+        ('z', RunMark::Failure),
+        ('x', RunMark::Discard),
+    ] {
+        let name = mark.name();
+        let button = format!("data-mark=\"{name}\" data-key=\"{key}\"");
+        assert!(page.contains(&button), "{button}");
+        let pressed = KeyEvent::new(KeyCode::Char(key), KeyModifiers::NONE);
+        let marks = |set| wish(pressed, 100, set);
+        assert_eq!(marks(None), said(&format!("mark {name}")));
+        assert_eq!(marks(Some(mark)), said("mark none"));
+    }
+}
+
 #[test]
 fn keys_are_the_operators_commands() {
-    let pressed = |key| wish(KeyEvent::new(key, KeyModifiers::NONE), 95);
-    let said = |text: &str| Some(KeyAction::Send(text.parse().unwrap()));
+    let pressed = |key| wish(KeyEvent::new(key, KeyModifiers::NONE), 95, None);
     for (key, text) in [
         ('p', "pause"),
         ('r', "resume"),
@@ -137,14 +174,14 @@ fn keys_are_the_operators_commands() {
     ] {
         assert_eq!(pressed(KeyCode::Char(key)), said(text), "{key}");
     }
-    let slow = wish(KeyEvent::new(KeyCode::Char('-'), KeyModifiers::NONE), 5);
+    let slow = wish(KeyEvent::new(KeyCode::Char('-'), KeyModifiers::NONE), 5, None);
     assert_eq!(slow, said("speed 1"));
-    assert_eq!(pressed(KeyCode::Char('x')), None);
+    assert_eq!(pressed(KeyCode::Char('k')), None);
     for quit in [
         KeyEvent::new(KeyCode::Char('q'), KeyModifiers::NONE),
         KeyEvent::new(KeyCode::Esc, KeyModifiers::NONE),
         KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL),
     ] {
-        assert_eq!(wish(quit, 100), Some(KeyAction::Quit));
+        assert_eq!(wish(quit, 100, None), Some(KeyAction::Quit));
     }
 }
