@@ -1,5 +1,9 @@
 //! Drives on CAN, paced by the clock. Hot path: bounded, no allocation, no lock; its system calls
 //! are the arms' sockets.
+//!
+//! The order of a period: set-points of the period before are put into the drives' PDOs and sent if
+//! a SYNC is due, the thread sleeps until the next period, and what the drives answered is read. A
+//! fault of an arm is an error of its measurement: the controller decides what follows.
 
 use hal::{ARM_NAMES, Arm as _, PerArm, Period, Rig, Setpoint, TICK_NS, TimeNs};
 use trocar_canopen::master::cycle::LINES_MAX;
@@ -15,8 +19,12 @@ pub(crate) type BusArm = CanArm<SocketBus<CanClock>>;
 
 /// The arms, and who else wants to know what happens to them.
 pub(crate) struct CanRig {
+    /// Each with buses and a cycle of its own; the controller's arm order.
     pub(crate) arms: PerArm<BusArm>,
+    /// To the observing thread, which writes it into the log; written only when something has
+    /// changed.
     noticed: MailboxWriter<Noticed>,
+    /// What `noticed` was given last, to see a change.
     happened: PerArm<CanStatus>,
     /// Whether each arm's drives have all confirmed that they are without torque, when they were
     /// taken down.
@@ -37,6 +45,7 @@ pub(crate) struct CanStatus {
 pub(crate) type Noticed = (TimeNs, PerArm<CanStatus>);
 
 impl CanRig {
+    /// `periodic` gives the control period, on the clock of the buses.
     pub(crate) fn new(
         arms: PerArm<BusArm>,
         noticed: MailboxWriter<Noticed>,
@@ -53,6 +62,8 @@ impl CanRig {
     }
 
     /// What has stopped each arm, if something did, in words and with the arm's name.
+    ///
+    /// Allocates: for the end of a run, after the loop.
     pub(crate) fn fault_texts(&self) -> Vec<String> {
         let named = self.arms.iter().zip(ARM_NAMES);
         named
@@ -62,6 +73,10 @@ impl CanRig {
 
     /// Takes all drives down through the states of CiA 402, all arms at once, and stops their
     /// nodes.
+    ///
+    /// Blocks for at most the longest [`CanArm::take_down_ns`] of all arms, with a grid of periods
+    /// of its own on `clock`. A drive that is silent never confirms: then the time runs out, its
+    /// arm's `confirmed_down` stays false, and its node is sent the stop all the same.
     pub(crate) fn take_down(&mut self, clock: MonotonicClock) {
         let first = clock.now().plus_ns(TICK_NS);
         let mut periodic = Periodic::new(clock, first, TICK_NS);
@@ -82,6 +97,8 @@ impl CanRig {
         self.arms.iter_mut().for_each(CanArm::shut_down);
     }
 
+    /// Compares faults and error counters with those of the period before; one mailbox write if
+    /// they differ.
     fn notice(&mut self, now: TimeNs) {
         let happened = self.arms.as_ref().map(|arm| CanStatus {
             fault: arm.fault(),
@@ -95,6 +112,9 @@ impl CanRig {
 }
 
 impl Rig for CanRig {
+    /// Writes, waits, reads: one period of all arms. `setpoints` is none before the first answer of
+    /// the controller, and then nothing is sent. The second arm's set-points are sent after the
+    /// first's, and both before the thread sleeps.
     fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period {
         for (arm, (command, tail)) in self
             .arms

@@ -1,4 +1,7 @@
 //! The runtime's clock, lent to CAN buses.
+//!
+//! The bus code reads and waits on a clock that it is given, so that its tests need none; in a run
+//! all buses, the control thread and the log have this one.
 
 use hal::TimeNs;
 use trocar_canopen::socket::Clock;

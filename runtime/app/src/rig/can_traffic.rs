@@ -1,4 +1,9 @@
 //! Frames on the CAN interfaces of this machine, as its kernel counts them.
+//!
+//! Read from `/sys/class/net/NAME/statistics`: eight small files an interface and look, so a thread
+//! that shows or logs does it, and never the control thread. The counters are those of all
+//! processes on the machine, not of ours alone. What the emulated drives know of their own buses is
+//! in `session::drives`.
 
 use std::collections::VecDeque;
 use std::fs;
@@ -11,7 +16,12 @@ use crate::rt::MonotonicClock;
 
 /// Bits of a frame without data, and of each byte that it carries, with as many stuff bits as there
 /// can be.
+///
+/// A base frame of ISO 11898-1 with `n` data bytes is 47 + 8 `n` bits, interframe space included,
+/// of which 34 + 8 `n` are subject to stuffing: at most 8 + 2 `n` stuff bits, in sum 55 + 10 `n`.
+/// The load is therefore an upper bound.
 const FRAME_BITS: u64 = 55;
+/// See [`FRAME_BITS`].
 const BYTE_BITS: u64 = 10;
 
 /// The kernel's number of CAN among kinds of interfaces, `ARPHRD_CAN`.
@@ -23,7 +33,9 @@ const OVER_NS: u64 = 1_000_000_000;
 /// Some CAN interfaces.
 #[derive(Debug)]
 pub(crate) struct Buses {
+    /// In the order of names from [`Buses::find`], in the given order from [`Buses::named`].
     pub(crate) all: Vec<Bus>,
+    /// Dates the counts; begins with this value.
     clock: MonotonicClock,
 }
 
@@ -31,25 +43,37 @@ pub(crate) struct Buses {
 #[derive(Debug)]
 pub(crate) struct Bus {
     pub(crate) name: String,
+    /// The interface's `statistics`.
     folder: PathBuf,
     /// Whether it has no wire: whatever is sent on it is counted as received too.
     is_virtual: bool,
     /// What was counted at some instants, oldest first.
+    ///
+    /// The first is the newest that is at least [`OVER_NS`] old, once there is one: a rate is over
+    /// a second or a little more.
     counted: VecDeque<(TimeNs, Count)>,
     /// Errors and dropped frames.
+    ///
+    /// Since the interface exists, both directions; 0 before the first look.
     pub(crate) errors: u64,
 }
 
 /// What has passed since the interface is there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Count {
+    /// Sent and received; of a virtual interface received loopback frames are left out.
     frames: u64,
     /// Of their data.
+    ///
+    /// Data field alone, without identifier, CRC and stuff bits.
     bytes: u64,
 }
 
 impl Buses {
     /// Those that are there.
+    ///
+    /// By the kind that the kernel gives each interface; empty where there is no sysfs. Virtual,
+    /// serial and real ones alike, up or down.
     pub(crate) fn find() -> Self {
         let entries = fs::read_dir("/sys/class/net").into_iter().flatten();
         let all = entries.flatten().filter_map(|entry| Bus::at(&entry.path()));
@@ -62,6 +86,8 @@ impl Buses {
     }
 
     /// Those called `names`, whether they are there or not.
+    ///
+    /// One that is not there counts 0 frames for ever.
     pub(crate) fn named<'a>(names: impl Iterator<Item = &'a String>) -> Self {
         Self {
             all: names
@@ -72,6 +98,9 @@ impl Buses {
     }
 
     /// What is known of them since they were last counted, at this bit rate, bit/s.
+    ///
+    /// Frames a second are rounded to whole ones and the load to 1e-5, so that log messages stay
+    /// short.
     pub(crate) fn record(&self, bit_rate: u32) -> BusesRecord {
         let record = |bus: &Bus| BusRecord {
             interface: bus.name.clone(),
@@ -84,6 +113,9 @@ impl Buses {
     }
 
     /// Counts.
+    ///
+    /// Rates need two looks; how often they come does not matter, since a rate is over about a
+    /// second whatever was counted in between.
     pub(crate) fn look(&mut self) {
         let now = self.clock.now();
         self.all.iter_mut().for_each(|bus| bus.look(now));
@@ -91,11 +123,13 @@ impl Buses {
 }
 
 impl Bus {
+    /// None if `folder`, of `/sys/class/net`, is not a CAN interface.
     fn at(folder: &Path) -> Option<Self> {
         let kind = fs::read_to_string(folder.join("type")).ok()?;
         (kind.trim() == CAN).then(|| Self::of(folder))
     }
 
+    /// `folder` need not exist; its last part is the name.
     fn of(folder: &Path) -> Self {
         let name = folder.file_name().unwrap_or_default();
         Self {
@@ -109,6 +143,7 @@ impl Bus {
         }
     }
 
+    /// The sum of these counters; one that cannot be read adds nothing.
     fn count(&self, names: &[&str]) -> u64 {
         let read = |name: &&str| fs::read_to_string(self.folder.join(name)).ok();
         let texts = names.iter().filter_map(read);
@@ -127,6 +162,7 @@ impl Bus {
         self.note(now, count);
     }
 
+    /// Adds a count and drops those that no rate needs any more.
     fn note(&mut self, now: TimeNs, count: Count) {
         self.counted.push_back((now, count));
         while let Some((second, _)) = self.counted.get(1)
@@ -143,11 +179,16 @@ impl Bus {
 
     /// Share of the time for which frames keep a bus of `bit_rate` bits a second busy, with as many
     /// stuff bits as there can be.
+    ///
+    /// More than 1 is possible: on a virtual interface nothing limits the rate. A `bit_rate` of 0
+    /// counts as 1.
     pub(crate) fn load(&self, bit_rate: u32) -> f64 {
         let bits = |count: &Count| FRAME_BITS * count.frames + BYTE_BITS * count.bytes;
         self.per_s(bits) / f64::from(bit_rate.max(1))
     }
 
+    /// The mean over all counts that are kept; 0 also if a counter went back, as when an interface
+    /// was made anew.
     #[expect(clippy::cast_precision_loss, reason = "bits of a second or so")]
     fn per_s(&self, of: impl Fn(&Count) -> u64) -> f64 {
         let (Some((then, before)), Some((now, newest))) =

@@ -2,6 +2,10 @@
 //! topics; and the controller's tick in all of them.
 //!
 //! A session's loop is the same for all: [`hal::Rig::exchange`], [`control`], again.
+//!
+//! A rig knows when a period begins and where measurements and set-points travel; it knows nothing
+//! of tasks, policies or logs. A new kind of arms is a new [`hal::Rig`] here, and nothing else
+//! changes.
 
 pub(crate) mod can;
 pub(crate) mod can_clock;
@@ -19,6 +23,11 @@ use crate::rt::MonotonicClock;
 
 /// The controller's tick in `period` with what all of its arms measured: what the log keeps of it,
 /// and the set-points that answer it. Hot path: bounded, no allocation, no I/O.
+///
+/// `chunks` are new ones only, one an arm, each consumed by the tick that gets it; `operator` goes
+/// to every arm. The number of arms in `measured` is the controller's. `clock` measures how long
+/// the tick computes, which only the record's timing has: no decision is based on it, so that a
+/// replay gives the same set-points.
 pub(crate) fn control(
     controller: &mut AnyController,
     period: &Period,
@@ -50,14 +59,21 @@ pub(crate) fn control(
 }
 
 /// A rig, and whoever else wants to know what its arms measure.
+///
+/// The threads that observe arms outside of this process get their states here, past the
+/// controller, from one mailbox write a period.
 pub(crate) struct ObservedRig<R> {
     pub(crate) rig: R,
     /// How many arms it has measured.
+    ///
+    /// Of the newest period that measured any; 0 before.
     pub(crate) arms: usize,
+    /// Only whole sets: a period in which an arm's measurement is missing puts nothing in.
     measured: MailboxWriter<PerArm<ArmState>>,
 }
 
 impl<R> ObservedRig<R> {
+    /// `measured` is read by one observing thread.
     pub(crate) const fn new(rig: R, measured: MailboxWriter<PerArm<ArmState>>) -> Self {
         Self {
             rig,

@@ -1,6 +1,10 @@
 //! Arms that another process leads, reached through wait-free queues to the threads that are on its
 //! topics, paced by the clock. Hot path: bounded, no allocation, no lock; its system call wakes the
 //! thread that sends.
+//!
+//! The topics themselves are read and written by two threads of
+//! `session::realtime::remote_arms::topics`: publishing may take a lock or a system call, which a
+//! control thread must not.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,15 +19,22 @@ use crate::rt::Periodic;
 
 /// The way to the thread that sends set-points.
 pub(crate) struct ToSender {
+    /// Every set-point in order, and each is sent.
     pub(crate) queue: Producer<PerArm<Setpoint>>,
+    /// Unparked once a period, whether it sleeps or not.
     pub(crate) thread: Thread,
     /// Whether that thread, or the one that takes feedback, has ended.
+    ///
+    /// From then on every measurement counts as lost, so that the controller faults instead of
+    /// commanding arms that do not hear.
     pub(crate) broken: Arc<AtomicBool>,
 }
 
 /// Arms on topics.
 pub(crate) struct TopicsRig {
+    /// With errors that the receiving thread found, such as a lost arm.
     measured: MailboxReader<PerArm<Measured>>,
+    /// Used again in periods without feedback, until it is too old.
     newest: Option<PerArm<Measured>>,
     sender: ToSender,
     periodic: Periodic,
@@ -46,6 +57,8 @@ impl TopicsRig {
 }
 
 impl Rig for TopicsRig {
+    /// As [`super::threads::ThreadsRig`]: set-points out, sleep, newest feedback in. The age is
+    /// checked at the period's due time.
     fn exchange(&mut self, setpoints: Option<&PerArm<Setpoint>>) -> Period {
         if let Some(setpoints) = setpoints {
             // Full only if nothing was sent for long, and then the arms have stopped by themselves.
@@ -68,6 +81,9 @@ impl Rig for TopicsRig {
 }
 
 /// The measurement, unless it is too old at `now`, or from beyond it.
+///
+/// Clocks of two processes on one machine agree; a stamp far ahead is another clock's, and no age
+/// can be told from it.
 fn of_now(measured: Measured, now: TimeNs) -> Measured {
     let state = measured?;
     if state.stamp.since(now) > MEASUREMENT_AGE_NS_MAX {

@@ -1,5 +1,8 @@
 //! CAN interfaces of this machine: opened with an error that says what to do, and an error frame on
 //! purpose.
+//!
+//! Both the master's side (`realtime::remote_arms::can`) and the drives' side (`drives`) open their
+//! buses here, so that a machine without CAN is explained in the same words.
 
 use std::fs;
 use std::path::Path;
@@ -17,6 +20,9 @@ use crate::rt::MonotonicClock;
 ///
 /// # Errors
 /// [`SessionError::Interface`] for one that is not there or is down.
+///
+/// `clock` is the bus's own. Interfaces that are down are refused first: the kernel would bind a
+/// socket to them and every send would fail later.
 pub(super) fn open(
     names: &[String],
     clock: MonotonicClock,
@@ -49,6 +55,9 @@ pub(super) fn open(
 }
 
 /// Whether the system says that `name` is there and down.
+///
+/// Reads bit 0 (`IFF_UP`) of `flags` in `/sys/class/net/NAME`; false if it cannot be read, and then
+/// opening says what is wrong.
 fn is_down(folder: &Path, name: &str) -> bool {
     const UP: u32 = 1;
     let flags = fs::read_to_string(folder.join(name).join("flags"));
@@ -60,6 +69,10 @@ fn is_down(folder: &Path, name: &str) -> bool {
 }
 
 /// Tells every socket on a bus that its controller has left it.
+///
+/// A virtual CAN interface never goes bus-off, so the error frame that a real controller's driver
+/// would raise is written to the bus as a frame, and every socket that asked for error frames
+/// receives it.
 pub(super) struct BusOffInjector {
     /// Line 0 first; none if nobody will ask.
     sockets: Vec<(String, CanSocket)>,
@@ -86,6 +99,9 @@ impl BusOffInjector {
     ///
     /// # Errors
     /// [`SessionError::Interface`].
+    ///
+    /// The error class of `linux/can/error.h`, `CAN_ERR_BUSOFF`, without data. Does nothing on a
+    /// line that was not opened.
     pub(super) fn send(&self, line: u8) -> Result<(), SessionError> {
         const BUS_OFF: u32 = 0x040;
         let Some((name, socket)) = self.sockets.get(usize::from(line)) else {

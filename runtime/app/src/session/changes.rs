@@ -1,5 +1,9 @@
 //! Single values in the place of those of configuration files: `--set FILE.KEY=VALUE`, the last
 //! layer over what is built in and over files that are given.
+//!
+//! A change is typed text until it is applied: it becomes a TOML value only in the `Source` of its
+//! file, which knows what type the key has. Ranges are checked afterwards, with all changes made,
+//! by whoever parses the file.
 
 use core::fmt;
 use core::str::FromStr;
@@ -12,14 +16,22 @@ use super::SessionError;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ConfigFile {
     /// The controller's settings.
+    ///
+    /// `control.toml`: limits, aggregation, gate, policy time-outs, what a fault does.
     Control,
     /// The task's, or the robot's, limits.
     Safety,
     /// The task's scene.
+    ///
+    /// What `--scene` gives in its place.
     Scene,
     /// Nodes and buses.
+    ///
+    /// `can.toml`: interfaces, bit rate, cycle, one node an axis.
     Can,
     /// What the threads of a run in real time ask of the operating system.
+    ///
+    /// `realtime.toml`: priorities, CPUs, hold and overrun limits.
     Realtime,
 }
 
@@ -47,6 +59,10 @@ impl ConfigFile {
 }
 
 /// Keys that files may leave out, and what stands for them until they are set.
+///
+/// `Source::with` changes only keys that a file has, which finds typing errors. These would be
+/// refused though they are valid: file, the keys, and the TOML that is merged in first so that the
+/// key exists.
 const OPTIONAL: [(ConfigFile, &[&str], &str); 7] = [
     (
         ConfigFile::Scene,
@@ -90,6 +106,7 @@ const OPTIONAL: [(ConfigFile, &[&str], &str); 7] = [
 pub struct Change {
     file: ConfigFile,
     key: String,
+    /// As typed, without surrounding blanks; `FILE.KEY` has no `=` in it, the value may.
     value: String,
 }
 
@@ -102,6 +119,8 @@ impl fmt::Display for Change {
 impl FromStr for Change {
     type Err = String;
 
+    /// Splits at the first `=` and the first `.`: everything behind is the key with its own dots.
+    /// Whether the file has the key is not known here.
     fn from_str(text: &str) -> Result<Self, String> {
         let parts = text
             .split_once('=')
@@ -135,6 +154,8 @@ impl Changes {
     ///
     /// # Errors
     /// [`ConfigError::NoKey`] with the keys that there are.
+    ///
+    /// Changes of other files are passed over; without any the source is returned as it is.
     pub fn apply(&self, file: ConfigFile, source: Source) -> Result<Source, ConfigError> {
         let mut changed = source;
         for change in self.0.iter().filter(|change| change.file == file) {
@@ -149,6 +170,8 @@ impl Changes {
     }
 
     /// Those of `files`, as they are typed.
+    ///
+    /// For the command line of the cameras' process, which reads these files again.
     pub fn of<'a>(&'a self, files: &'a [ConfigFile]) -> impl Iterator<Item = String> + 'a {
         let of = self.0.iter().filter(|change| files.contains(&change.file));
         of.map(ToString::to_string)
@@ -158,6 +181,8 @@ impl Changes {
     ///
     /// # Errors
     /// [`SessionError::BadArgument`].
+    ///
+    /// A verb that reads no `can.toml`, say, would otherwise take `--set can.x=1` and do nothing.
     pub fn only(&self, read: &[ConfigFile]) -> Result<(), SessionError> {
         match self.0.iter().find(|change| !read.contains(&change.file)) {
             None => Ok(()),

@@ -1,4 +1,7 @@
 //! The file that says what point clouds are made of.
+//!
+//! Read once when training begins; the checkpoint keeps the recipe, so neither a run nor an
+//! evaluation reads this file.
 
 use std::path::Path;
 
@@ -7,20 +10,30 @@ use serde::Deserialize;
 use trocar_data::perception::{CloudFrame, CloudRecipe, Padding, Point};
 
 /// Most points of a cloud.
+///
+/// 65536 points of three `f32` are 0.8 MB a sample.
 const POINTS_MAX: usize = 1 << 16;
 
 /// Longest coordinate of the box, m.
 const BOX_MAX_M: f32 = 10.0;
 
+/// The file as it is written, before its ranges are checked. Fields are explained in
+/// `config/clouds.toml`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CloudFile {
+    /// Of points and box: the scene's, or the first camera's.
     frame: CloudFrame,
+    /// Lower corner `[x, y, z]` in `frame`, m; only together with the upper one.
     crop_min_m: Option<Point>,
     crop_max_m: Option<Point>,
+    /// Instance ids of the renderer, of which no point is kept.
     dropped_instances: Vec<u8>,
+    /// Edge of the cubes of which each keeps its first point; 1e-5 to 0.1 m, none thins nothing.
     voxel_m: Option<f32>,
+    /// 1 to [`POINTS_MAX`]; that of the network's preset if not given.
     points: Option<usize>,
+    /// What fills a cloud with fewer points.
     padding: Padding,
 }
 
@@ -52,6 +65,7 @@ pub(super) fn cloud_recipe(file: Option<&Path>, points: usize) -> Result<CloudRe
     })
 }
 
+/// Ranges, and that the box has a volume: each maximum is above its minimum.
 #[expect(clippy::cast_precision_loss, reason = "counts of points are small")]
 fn check(source: &Source, read: &CloudFile) -> Result<(), ConfigError> {
     match (read.crop_min_m, read.crop_max_m) {

@@ -1,5 +1,8 @@
 //! The drives of all arms with the world that they move, or with nothing but their motors, in a
 //! time of their own.
+//!
+//! Nothing here knows of threads, sockets or the clock: time is an argument, and what happens is
+//! told to a [`Listener`]. The bus thread runs it with real buses, tests without.
 
 use hal::count::{count_u8, count_u32};
 use hal::joints::INSERTION;
@@ -20,9 +23,14 @@ use crate::session::source::STEP_TICKS;
 use crate::session::world_report::WorldState;
 
 /// Frames that wait for a bus on their way in from outside.
+///
+/// A queue that is full loses frames, which the station counts.
 const QUEUE: usize = 256;
 
 /// The interfaces of the first `arms` arms, each once: line 0 of the network first.
+///
+/// Two arms may share buses. The place of a name in the result is the line by which the network
+/// knows it.
 pub(super) fn interfaces(can: &CanConfig, arms: usize) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for name in can.arms.iter().take(arms).flat_map(|arm| &arm.interfaces) {
@@ -34,6 +42,9 @@ pub(super) fn interfaces(can: &CanConfig, arms: usize) -> Vec<String> {
 }
 
 /// Checks that no node stands for two axes.
+///
+/// Two arms on buses of their own may reuse numbers on real hardware; the emulated network finds a
+/// drive by its node alone.
 pub(super) fn check_nodes(can: &CanConfig, arms: usize) -> Result<(), SessionError> {
     let mut seen: Vec<NodeId> = Vec::new();
     for axis in can.arms.iter().take(arms).flat_map(|arm| &arm.plan.axes) {
@@ -49,20 +60,41 @@ pub(super) fn check_nodes(can: &CanConfig, arms: usize) -> Result<(), SessionErr
 }
 
 /// What those outside are notified of.
+///
+/// Called from within [`Bench::step`], in the drives' time; must not block, since the drives stand
+/// still meanwhile.
 pub(super) trait Listener {
     /// A drive has stopped and rests.
+    ///
+    /// Once a stop, when its axis has been slow for 10 ms. `stalled_ns` is still 0: the listener
+    /// knows it.
     fn stopped(&mut self, stop: Stop);
 
     /// The fault at this place has begun.
+    ///
+    /// `place` counts the faults as they were given.
     fn injected(&mut self, place: usize);
 
     /// All drives follow: the episode begins.
+    ///
+    /// Once a run.
     fn begun(&mut self, at: TimeNs);
 
     /// A policy step has passed in the world.
+    ///
+    /// Every 40 ms of the drives' time; `sequence` counts policy steps from the start, also before
+    /// the episode.
+    ///
+    /// In this order: motors and world, stops, the beginning of the episode, faults, and a report
+    /// of the world if a policy step ends here.
+    ///
+    /// # Errors
+    /// If the simulation cannot read an arm.
     fn step(&mut self, sequence: u64, world: &WorldState, simulation: &Simulation);
 
     /// The controllers of all others on this line are off the bus.
+    ///
+    /// The listener has the sockets on which an error frame can be sent.
     fn bus_off(&mut self, line: u8);
 }
 
@@ -77,15 +109,25 @@ fn at_home() -> ArmState {
 pub(super) struct Bench {
     /// What the motors turn; without one each follows its set-point.
     simulation: Option<Simulation>,
+    /// In the order of `can.toml`, which is the simulation's.
     arms: Vec<Coupling>,
     watches: Vec<StopWatch>,
     injector: Injector,
+    /// Until all drives follow, [`Simulation::wait`] stands in for the world's step: nothing is
+    /// judged, and the episode's time does not run.
     begun: Option<TimeNs>,
 }
 
 impl Bench {
     /// Puts the drives of the first `count` arms of `can` on the lines of their interfaces;
     /// `simulation` has as many, if there is one.
+    ///
+    /// A drive's serial number is 100 per arm plus its node, its identity that of the plan;
+    /// [`FaultKind::WrongIdentity`] raises the product code by one before any node boots. Bit rate
+    /// and cycle of all lines are those of the first arm.
+    ///
+    /// # Errors
+    /// If the simulation cannot read an arm.
     pub(super) fn new(
         mut simulation: Option<Simulation>,
         (can, count): (&CanConfig, usize),
@@ -169,6 +211,7 @@ impl Bench {
         Ok(())
     }
 
+    /// Without a world: each motor stands where its drive wants it, at once.
     fn turn_freely(&self, network: &mut Network<Terminal>) {
         for coupling in &self.arms {
             coupling.turn_freely(network);
@@ -176,6 +219,9 @@ impl Bench {
     }
 
     /// A millisecond of what the motors turn.
+    ///
+    /// Drives to plant, a step of the plant, plant to drives: what a drive measures is a
+    /// millisecond behind what it wants.
     fn turn_motors(
         &mut self,
         at: TimeNs,
@@ -211,6 +257,7 @@ impl Bench {
         Some(WorldState::of(simulation, operational, begun))
     }
 
+    /// Errands of a fault are collected first, since the injector borrows the bench.
     fn inject(
         &mut self,
         since_ns: u64,
@@ -234,6 +281,8 @@ impl Bench {
     }
 
     /// The drives and their buses as they are, but for what the bench does not know of them.
+    ///
+    /// Loss and stalls are left at 0 for the bus thread to fill in.
     pub(super) fn seen(&self, network: &mut Network<Terminal>, lines: u8) -> Seen {
         let plans = self.arms.iter().map(Coupling::plan);
         Seen {
@@ -243,6 +292,8 @@ impl Bench {
     }
 
     /// How busy each line has been, ns and frames.
+    ///
+    /// From the start, one entry a line.
     pub(super) fn busy(network: &Network<Terminal>, lines: u8) -> Vec<(u64, u64)> {
         (0..lines).map(|line| network.wire(line).busy()).collect()
     }

@@ -1,4 +1,9 @@
 //! The thread that keeps emulated drives and their world going, in step with the clock on the wall.
+//!
+//! One loop: let the drives live until now, hand on what happened, sleep until the next frame or
+//! the next thing a drive wants to say. The drives' time is the wall's, less the stalls
+//! ([`TURN_NS_MAX`]). System calls are the sockets' and the sleeps; it is not hot-path code as the
+//! control thread is, and allocates where drives do.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -30,9 +35,13 @@ const TURN_NS: u64 = 1_000_000;
 
 /// When the master has spoken, its drives are looked after this part of its cycle later at the
 /// latest.
+///
+/// A drive's answer must be on the wire within the cycle in which it was asked.
 const SOON: u64 = 4;
 
 /// Time from one look to the next at least, unless something comes, ns.
+///
+/// Keeps a bus full of frames from becoming a busy loop.
 const WAIT_NS_MIN: u64 = 20_000;
 
 /// Time between two looks for a page, ns of the drives.
@@ -44,21 +53,30 @@ const SEEN_NS: u64 = 50_000_000;
 const TURN_NS_MAX: u64 = 5_000_000;
 
 /// What one instant of the world looks like.
+///
+/// Goes through a mailbox, so a slow first thread skips instants.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::session) struct Shown {
     /// On the system's clock.
     pub(in crate::session) stamp: TimeNs,
+    /// Policy steps of 40 ms in the drives' time.
     pub(in crate::session) sequence: u64,
+    /// Phase, verdict and what scripted experts see.
     pub(in crate::session) world: WorldState,
+    /// Poses of all bodies, for renderers.
     pub(in crate::session) snapshot: SceneSnapshot,
 }
 
 /// What there is to tell.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Notice {
+    /// All drives are enabled for the first time, in the drives' time.
     Begun(TimeNs),
+    /// A drive stopped following and its axis rests.
     Stopped(Stop),
+    /// The fault at this place among those given has begun.
     Injected(usize),
+    /// An error frame is to be sent on this line.
     BusOff(u8),
 }
 
@@ -66,16 +84,23 @@ pub(super) enum Notice {
 pub(super) struct BusThread<'a> {
     /// The world that the drives move, if there is one.
     pub(super) simulation: Option<Simulation>,
+    /// May have more arms than are used.
     pub(super) can: &'a CanConfig,
     /// How many of its arms there are.
     pub(super) arms: usize,
+    /// Of nodes that are among these arms.
     pub(super) faults: &'a [InjectedFault],
+    /// Of the interfaces whose places are the lines.
     pub(super) bus: SocketBus<CanClock>,
+    /// How many interfaces there are.
     pub(super) lines: u8,
+    /// Never written without a world.
     pub(super) shown: MailboxWriter<Shown>,
+    /// To the first thread, in order.
     pub(super) notices: Producer<Notice>,
     /// For a page, if there is one.
     pub(super) seen: Option<MailboxWriter<Seen>>,
+    /// Set by either side: the thread ends at its next turn, at most a millisecond later.
     pub(super) stop: &'a AtomicBool,
 }
 
@@ -98,6 +123,9 @@ pub(super) struct BusEnd {
 }
 
 /// Hands on what the bench reports.
+///
+/// Turns the bench's reports into mailbox writes and notices, with the stalls that only this thread
+/// knows.
 struct Messenger {
     clock: MonotonicClock,
     shown: MailboxWriter<Shown>,
@@ -109,6 +137,7 @@ struct Messenger {
 }
 
 impl Messenger {
+    /// Drops the notice if 256 wait already.
     fn notify(&mut self, what: Notice) {
         // Full only without a reader, to whom it could matter.
         let _gone = self.notices.push(what);
@@ -161,6 +190,8 @@ impl Listener for Messenger {
 }
 
 /// Held by this thread: when it ends for whatever reason, so does the process.
+///
+/// Also on a panic: the first thread would otherwise wait for a world that no longer turns.
 pub(in crate::session) struct EndsAll<'a>(pub(in crate::session) &'a AtomicBool);
 
 impl Drop for EndsAll<'_> {
@@ -171,6 +202,12 @@ impl Drop for EndsAll<'_> {
 
 impl BusThread<'_> {
     /// Runs until it is stopped.
+    ///
+    /// A priority that is refused is no error. [`Histogram`] `turns` has the time of each look
+    /// without the sleep.
+    ///
+    /// # Errors
+    /// From the bench; the drives have then stopped, as if their power was cut.
     pub(super) fn run(self) -> Result<BusEnd, SessionError> {
         let _ends = EndsAll(self.stop);
         // Not strict: without it the drives are only less punctual.
