@@ -1,4 +1,6 @@
-//! Whether a study's file makes sense, beyond its form.
+//! Whether a study's file makes sense, beyond its form. `file` has read it, with unknown keys
+//! refused; `expand` and `scenes` find what only all cells together show. The first defect ends the
+//! check.
 
 use std::collections::BTreeSet;
 
@@ -9,10 +11,14 @@ use super::file::{
 };
 
 /// Longest name of a task, a network, a recording, an execution mode or a grid.
+///
+/// Names stand in labels and in keys of `study.json`; of letters, digits, `-` and `_` alone they
+/// need no quoting anywhere.
 const NAME_BYTES_MAX: usize = 64;
 
 impl StudyFile {
-    /// Checks what was read from `source`.
+    /// Checks what was read from `source`. Names come before what refers to them, so that a
+    /// misspelt one is reported where it stands.
     ///
     /// # Errors
     /// [`ConfigError`] naming file, line and key.
@@ -53,6 +59,9 @@ impl StudyFile {
         Ok(())
     }
 
+    /// A checkpoint for `policy = "checkpoint"` and for no other; cameras for what is trained,
+    /// since their number shapes the network; in `on` only tasks of this file; no zero steps or
+    /// batches.
     fn check_network(
         &self,
         name: &str,
@@ -81,6 +90,7 @@ impl StudyFile {
         Ok(())
     }
 
+    /// Axes, what its trainings need, trials, and published rates from 0 to 1.
     fn check_grid(
         &self,
         index: usize,
@@ -117,6 +127,7 @@ impl StudyFile {
         check_known(&at("views"), &grid.views, views.iter(), source)
     }
 
+    /// Whether a network of this name makes trainings; no for a name that the file does not have.
     fn is_trained(&self, network: &str) -> bool {
         let network = self.network.get(network);
         network.is_some_and(|network| network.policy.is_trained())
@@ -146,7 +157,8 @@ impl StudyFile {
     }
 }
 
-/// How many demonstrations and trials a grid has, and from which seed on.
+/// How many demonstrations and trials a grid has, and from which seed on. A policy's trial seeds
+/// run from `first_seed` without wrapping around.
 fn check_trials(index: usize, grid: &GridSection, source: &Source) -> Result<(), ConfigError> {
     let at = |key: &str| format!("grid.{index}.{key}");
     if grid.demonstrations.contains(&0) {
@@ -171,6 +183,7 @@ fn has_zero_count(network: &NetworkSection) -> bool {
     steps.chain(batch).any(|count| count == 0)
 }
 
+/// Shares and jobs divide whole GPUs and cores (`schedule`), so that none may be zero.
 fn check_counts(
     run: &RunSection,
     training: &TrainingSection,
@@ -190,6 +203,8 @@ fn check_counts(
     Ok(())
 }
 
+/// # Errors
+/// An empty or long name, or one with other characters than letters, digits, `-` and `_`.
 fn check_name(key: &str, name: &str, source: &Source) -> Result<(), ConfigError> {
     let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
     if (1..=NAME_BYTES_MAX).contains(&name.len()) && name.chars().all(plain) {
@@ -212,6 +227,7 @@ fn check_list<'a>(
     check_known(key, names, known, source)
 }
 
+/// `names` must be distinct and among `known`; an empty list passes. The error lists what there is.
 fn check_known<'a>(
     key: &str,
     names: &[String],
@@ -229,6 +245,8 @@ fn check_known<'a>(
     }
 }
 
+/// Compares each value with all before it: lists have a few entries. A value that stands twice
+/// would count its cells twice in a table.
 fn check_distinct<T: PartialEq + std::fmt::Display>(
     key: &str,
     values: &[T],

@@ -1,4 +1,9 @@
 //! From a study's file to its cells.
+//!
+//! Each grid is walked place by place (`places`), and at each place each network becomes a
+//! recording, a training and an evaluation, or an evaluation alone if it is not trained. Cells are
+//! told apart by their addresses alone, so that what two grids or two places need is made once.
+//! Nothing is run here.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,7 +18,8 @@ use super::materials::Materials;
 use super::places::{cell_record, evaluation_label, grid_record, places, titles};
 use super::plan::{Cell, Entry, Plan, STUDY_FORMAT, StudyRecord};
 
-/// Options that the study itself gives to its cells.
+/// Options that the study itself gives to its cells. A file that sets one of them in `options`
+/// would have two, and the cell would not be what its address says.
 const TAKEN: [&str; 20] = [
     "--task",
     "--out",
@@ -37,7 +43,8 @@ const TAKEN: [&str; 20] = [
     "--view",
 ];
 
-/// The cells of `file`, whose text is `text`.
+/// The cells of `file`, whose text is `text`. `materials` are the hashes of all that the file
+/// names; the same file with the same materials gives the same cells in the same order.
 ///
 /// # Errors
 /// [`StudyError::BadCell`] and [`StudyError::Overlap`].
@@ -57,12 +64,15 @@ pub fn expand(file: &StudyFile, text: &str, materials: &Materials) -> Result<Pla
     expansion.plan(text)
 }
 
+/// What has been met so far.
 struct Expansion<'a> {
     file: &'a StudyFile,
     materials: &'a Materials,
+    /// Each cell once; of a recording the number of episodes grows as places ask for more.
     cells: BTreeMap<Address, Cell>,
     /// Addresses in the order in which they were met.
     order: Vec<Address>,
+    /// Every evaluation at its place, in the order of the grids; one cell may stand at several.
     entries: Vec<Entry>,
 }
 
@@ -86,6 +96,8 @@ impl Expansion<'_> {
         networks.chain(recordings)
     }
 
+    /// # Errors
+    /// `BadCell` with the key whose options hold one of `TAKEN`.
     fn check_options(&self) -> Result<(), StudyError> {
         for (key, options) in self.options() {
             let taken = options.iter().find(|option| {
@@ -100,6 +112,7 @@ impl Expansion<'_> {
         Ok(())
     }
 
+    /// Adds the cells of all places of `grid`, one training for each of its training seeds.
     fn grid(&mut self, grid: &GridSection) -> Result<(), StudyError> {
         for at in places(self.file, grid) {
             let Some(network) = self.file.network.get(&at.network) else {
@@ -125,6 +138,8 @@ impl Expansion<'_> {
         Ok(())
     }
 
+    /// The policy of a network that is not trained here: a built-in one by its name, or a
+    /// checkpoint by its hash, so that it is another cell when the checkpoint's files change.
     fn untrained(&self, name: &str, network: &NetworkSection) -> Result<PolicyInput, StudyError> {
         if network.policy != PolicyKind::Checkpoint {
             return Ok(PolicyInput::Named(network.policy.as_str()));
@@ -137,6 +152,8 @@ impl Expansion<'_> {
         Ok(PolicyInput::Checkpoint { sha256, folder })
     }
 
+    /// Adds recording, training and evaluation of one place and one training seed. A network that
+    /// learns from point clouds has their configuration among its files.
     fn trained(
         &mut self,
         grid: &GridSection,
@@ -190,6 +207,10 @@ impl Expansion<'_> {
     }
 
     /// The recording, and those of its cameras that the network sees, if not all.
+    ///
+    /// A recording with cameras of its own is shared by networks that see different ones of them;
+    /// without them it has exactly those of the network. Depth is recorded as soon as the network
+    /// needs it.
     fn recording(
         &mut self,
         at: &Coordinates,
@@ -236,11 +257,14 @@ impl Expansion<'_> {
         }
     }
 
+    /// # Errors
+    /// `BadCell` for a name that the file does not have.
     fn task(&self, name: &str) -> Result<TaskInput, StudyError> {
         let task = self.materials.tasks.get(name).cloned();
         task.ok_or_else(|| self.materials.bad(&format!("task.{name}"), "there is none"))
     }
 
+    /// That of a policy that was not trained here.
     fn evaluation(
         &mut self,
         grid: &GridSection,
@@ -270,6 +294,8 @@ impl Expansion<'_> {
         Ok(execution)
     }
 
+    /// That of `policy`, which came of the training seed `seed` if it was trained; the seed is in
+    /// the label only, since the policy's address has it already.
     fn evaluation_of(
         &mut self,
         grid: &GridSection,
@@ -294,7 +320,7 @@ impl Expansion<'_> {
         self.add(label, Job::Evaluation(job))
     }
 
-    /// Adds a cell, if there is none like it.
+    /// Adds a cell, if there is none like it. Its label is that of the place that came first.
     fn add(&mut self, label: String, job: Job) -> Result<Address, StudyError> {
         let recipe = job
             .recipe()
@@ -312,6 +338,7 @@ impl Expansion<'_> {
         Ok(address)
     }
 
+    /// None for what is not trained, which has seen no seeds.
     fn recording_of(&self, entry: &Entry) -> Option<&RecordingJob> {
         match &self.cells.get(entry.recording.as_ref()?)?.job {
             Job::Recording(job) => Some(job),
@@ -319,7 +346,11 @@ impl Expansion<'_> {
         }
     }
 
-    /// No policy may be evaluated on seeds that its demonstrations may have.
+    /// No policy may be evaluated on seeds that its demonstrations may have. A recording may try
+    /// more seeds than it keeps (`recorded_seeds`); all of them count as seen.
+    ///
+    /// # Errors
+    /// `Overlap` with both ranges, also if a range would pass the last seed.
     fn check_overlap(&self) -> Result<(), StudyError> {
         for entry in &self.entries {
             let grid = self.file.grid.iter().find(|grid| grid.name == entry.grid);
@@ -354,6 +385,8 @@ impl Expansion<'_> {
         cells
     }
 
+    /// The grid's own address is over the evaluations alone: they contain everything else, and it
+    /// tells whether two folders are shards of one study.
     fn plan(self, text: &str) -> Result<Plan, StudyError> {
         let addresses: BTreeSet<&Address> =
             self.entries.iter().map(|entry| &entry.evaluation).collect();

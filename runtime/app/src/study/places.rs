@@ -1,4 +1,5 @@
-//! The places of a grid, and what they and their cells are called.
+//! The places of a grid, and what they and their cells are called. A place is a value on each axis
+//! of the grid; networks vary fastest, tasks slowest.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,6 +7,8 @@ use super::axis::{Axis, Coordinates};
 use super::file::{GridSection, StudyFile};
 use super::plan::{Cell, CellRecord, GridRecord};
 
+/// `TASK, NETWORK[, N of RECORDING][, seed S], NEEDLE, VIEW, EXECUTION: N trials`, without what the
+/// place does not have. For people alone: a cell is known by its address.
 pub(super) fn evaluation_label(grid: &GridSection, at: &Coordinates, seed: Option<u64>) -> String {
     let mut label = format!("{}, {}", at.task, at.network);
     if let (Some(demonstrations), Some(recording)) = (at.demonstrations, &at.recording) {
@@ -23,6 +26,7 @@ pub(super) fn evaluation_label(grid: &GridSection, at: &Coordinates, seed: Optio
     label + &format!(": {} trials", grid.trials)
 }
 
+/// What `study.json` keeps of a cell: enough for a report to name it, and to find what it needs.
 pub(super) fn cell_record(cell: &Cell) -> CellRecord {
     CellRecord {
         kind: cell.job.kind(),
@@ -31,6 +35,7 @@ pub(super) fn cell_record(cell: &Cell) -> CellRecord {
     }
 }
 
+/// What `study.json` keeps of a grid, so that a report needs no study's file.
 pub(super) fn grid_record(grid: &GridSection) -> GridRecord {
     GridRecord {
         name: grid.name.clone(),
@@ -44,7 +49,7 @@ pub(super) fn grid_record(grid: &GridSection) -> GridRecord {
     }
 }
 
-/// What no axis has placed yet.
+/// What no axis has placed yet. The view is `train` where a grid names none.
 fn unplaced() -> Coordinates {
     Coordinates {
         task: String::new(),
@@ -57,7 +62,8 @@ fn unplaced() -> Coordinates {
     }
 }
 
-/// Every place of `grid`; what is not trained has no recording and no number of demonstrations.
+/// Every place of `grid`; what is not trained has no recording and no number of demonstrations. The
+/// order is that of `AXES`, which tables keep.
 pub(super) fn places(file: &StudyFile, grid: &GridSection) -> Vec<Coordinates> {
     let places = vec![unplaced()];
     let places = each(places, &grid.tasks, |at, task| at.task = task);
@@ -91,6 +97,7 @@ fn distinct(file: &StudyFile, mut places: Vec<Coordinates>) -> Vec<Coordinates> 
 }
 
 /// Each of `places` with each of `values`; an axis without values leaves them as they are.
+/// Multiplies the number of places by the number of values, so that the last axis varies fastest.
 fn each<T: Clone>(
     places: Vec<Coordinates>,
     values: &[T],
@@ -110,6 +117,8 @@ fn each<T: Clone>(
     product
 }
 
+/// The titles that the file gives to names of its tables; a name without one is shown as it is. The
+/// other axes have no names to give titles to.
 pub(super) fn titles(file: &StudyFile) -> BTreeMap<Axis, BTreeMap<String, String>> {
     fn of<'a>(
         named: impl Iterator<Item = (&'a String, &'a Option<String>)>,

@@ -1,4 +1,5 @@
-//! Whether the scenes exist that a study asks for: tasks with those needles, views and cameras.
+//! Whether the scenes exist that a study asks for: tasks with those needles, views and cameras. A
+//! misspelt needle would otherwise be found hours later, when its cell is begun.
 
 use std::collections::BTreeSet;
 
@@ -10,7 +11,8 @@ use super::plan::Cell;
 use crate::session::scene_options::{CameraSet, SceneOptions};
 use crate::session::{PolicyChoice, Setup};
 
-/// Checks every cell's scene, without drawing any.
+/// Checks every cell's scene, without drawing any. Each scene is made once, however many cells have
+/// it. Trainings have none of their own.
 ///
 /// # Errors
 /// [`StudyError::BadCell`] with the cell.
@@ -40,6 +42,7 @@ pub(super) fn check(cells: &[Cell], path: &str) -> Result<(), StudyError> {
     Ok(())
 }
 
+/// Loads the task and puts the scene together as `record` and `eval` do; says why that fails.
 fn check_one(
     task: &TaskInput,
     needle: Option<&str>,
@@ -58,7 +61,7 @@ fn check_one(
     checked.map(drop).map_err(|error| error.to_string())
 }
 
-/// The file has checked the name.
+/// The file has checked the name. What it does not know is the training view.
 fn view_named(name: &str) -> View {
     match name {
         "view1" => View::View1,

@@ -1,4 +1,7 @@
 //! A study from its file to its end: what `trocar study` does.
+//!
+//! The way of a study: `file` reads it, `materials` hashes what it names, `expand` makes the cells,
+//! `scenes` and `work` check them, `run` makes them; `store` is the folder that all of that is in.
 
 use std::path::{Path, PathBuf};
 
@@ -34,15 +37,20 @@ pub struct Options {
 /// A study that was read and checked.
 #[derive(Debug)]
 pub struct Study {
+    /// As it was read; keys of it stand in errors.
     file: StudyFile,
     plan: Plan,
+    /// Its folder, which need not exist before the first run.
     store: Store,
     options: Options,
+    /// What the program's own command line can do, found once.
     abilities: Abilities,
 }
 
 impl Study {
-    /// Reads and checks a study, without making anything.
+    /// Reads and checks a study, without making anything. `line` is the parser of the program that
+    /// cells are run by. It hashes the executable and all files that the study names, so that it
+    /// takes as long as reading these.
     ///
     /// # Errors
     /// [`StudyError`], naming what is wrong.
@@ -69,6 +77,9 @@ impl Study {
 
     /// Shards of one grid belong together; a whole study may take the place of an earlier one,
     /// whose cells it shares.
+    ///
+    /// # Errors
+    /// `OtherGrid` if this is a shard, and the folder holds a study of another grid.
     fn check_folder(&self) -> Result<(), StudyError> {
         let (Some(there), Some(_)) = (self.store.study()?, self.options.shard) else {
             return Ok(());
@@ -84,6 +95,7 @@ impl Study {
         })
     }
 
+    /// &`executable_sha256` may be empty where nothing is made: only manifests have it.
     fn workshop(&self, executable_sha256: String) -> Workshop<'_> {
         Workshop {
             store: &self.store,
@@ -95,7 +107,9 @@ impl Study {
         }
     }
 
-    /// Every cell of the part with how it stands, and sums.
+    /// Every cell of the part with how it stands, and sums. Nothing is locked or written: another
+    /// process may work in the folder meanwhile. The last line has the sums and an estimate of the
+    /// time, from what the cells that are done took.
     #[must_use]
     pub fn list(&self) -> Vec<String> {
         let part = self.plan.part(self.options.shard);
@@ -168,7 +182,8 @@ impl Study {
         lines
     }
 
-    /// Runs the part.
+    /// Runs the part. `say` hears of each cell that begins or ends, a line each. A signal ends it
+    /// in order: what runs is asked to end and keeps its state.
     ///
     /// # Errors
     /// [`StudyError`] if a cell needs a GPU and there is none, or the study's folder can't be used.
@@ -199,6 +214,8 @@ impl Study {
     }
 }
 
+/// Whether a recording that is done has as many demonstrations as this study asks for; another
+/// study in the same folder may have asked for fewer. Anything else is done or not.
 fn is_enough(job: &Job, episodes: Option<usize>) -> bool {
     match (job, episodes) {
         (Job::Recording(job), Some(episodes)) => episodes >= job.episodes,
@@ -206,6 +223,7 @@ fn is_enough(job: &Job, episodes: Option<usize>) -> bool {
     }
 }
 
+/// A line of `list`: kind, short address, label, state.
 fn line(kind: Kind, address: &str, label: &str, state: &str) -> String {
     format!("{:<10} {address}  {label}: {state}", kind.as_str())
 }

@@ -1,4 +1,8 @@
 //! Begins cells.
+//!
+//! Resources first, then locks, then what an earlier attempt left: a cell that can't be begun now
+//! has taken nothing and is looked at again. Processes of other shards may work in the same folder;
+//! the locks decide who makes a cell.
 
 use std::fs::File;
 
@@ -21,7 +25,12 @@ struct Held {
 }
 
 impl Runner<'_> {
-    /// Begins a cell, unless it is done, or there is no room for it.
+    /// Begins a cell, unless it is done, or there is no room for it. What was allocated is given
+    /// back unless the cell runs.
+    ///
+    /// # Errors
+    /// `Io` if the study's folder can't be used; what is wrong with the cell itself makes it
+    /// failed.
     pub(super) fn begin(&mut self, index: usize) -> Result<Begun, StudyError> {
         let cell = self.cells[index];
         if self.settled(index) {
@@ -40,7 +49,9 @@ impl Runner<'_> {
         Ok(begun)
     }
 
-    /// Whether nothing is left to do for a cell, as its folder says.
+    /// Whether nothing is left to do for a cell, as its folder says. It is done, damaged, or its
+    /// product is gone and nobody needs it; not so a recording of fewer demonstrations than are
+    /// wanted. It notes the outcome and tells of damage, at most once for each cell.
     pub(super) fn settled(&mut self, index: usize) -> bool {
         let cell = self.cells[index];
         match self.workshop.store.state(cell.job.kind(), &cell.address) {
@@ -66,6 +77,9 @@ impl Runner<'_> {
         }
     }
 
+    /// Takes the locks and makes the cell ready. The store is looked at again under the lock, since
+    /// another process may have done the cell meanwhile; a training holds its recording's lock too,
+    /// shared, so that nobody removes the data under it. An attempt counts from here on.
     fn begin_with(&mut self, index: usize, grant: &Allocation) -> Result<Begun, StudyError> {
         let cell = self.cells[index];
         let (kind, address) = (cell.job.kind(), &cell.address);
@@ -119,7 +133,8 @@ impl Runner<'_> {
         Ok(Begun::Settled)
     }
 
-    /// Starts a cell's verb.
+    /// Starts a cell's verb. From now on the child holds the lock too: the cell stays locked until
+    /// it ends, even if this process is killed.
     fn launch(
         &mut self,
         index: usize,

@@ -1,4 +1,5 @@
-//! Takes care of cells whose verbs have ended.
+//! Takes care of cells whose verbs have ended. Children are polled, never waited for: one thread
+//! does all of it.
 
 use std::fs::File;
 
@@ -20,7 +21,11 @@ use super::{Runner, Status, Work};
 const BAD_INPUT: i32 = 2;
 
 impl Runner<'_> {
-    /// Takes care of children that have ended.
+    /// Takes care of children that have ended. The memory on GPUs is sampled here too, while a cell
+    /// that uses one runs.
+    ///
+    /// # Errors
+    /// `Io` if the study's folder can't be used.
     pub(super) fn poll(&mut self) -> Result<(), StudyError> {
         if self
             .running
@@ -45,6 +50,8 @@ impl Runner<'_> {
         Ok(())
     }
 
+    /// Takes what there is to know of a child before its resources and locks go: time, GPU, memory.
+    /// Only a training that succeeded may let its recording's data go.
     fn ended(&mut self, job: Work, ended: Ended) -> Result<(), StudyError> {
         let cell = self.cells[job.cell];
         let attempts = self.keep_time(&job)?;
@@ -67,7 +74,8 @@ impl Runner<'_> {
         self.release(cell, &job.lock, job.input.filter(|_| success))
     }
 
-    /// Adds the time that `job` ran to that of its cell's earlier attempts.
+    /// Adds the time that `job` ran to that of its cell's earlier attempts. They are written at
+    /// once: a run that is killed later still knows them.
     fn keep_time(&self, job: &Work) -> Result<Attempts, StudyError> {
         let cell = self.cells[job.cell];
         let seconds = TimeNs(self.clock.now().since(job.begun)).seconds();
@@ -80,14 +88,17 @@ impl Runner<'_> {
         Ok(attempts)
     }
 
-    /// What the GPU of `grant` is called.
+    /// What the GPU of `grant` is called. Its index if `nvidia-smi` did not name it; none of a cell
+    /// without a GPU.
     fn gpu_of(&self, grant: &Allocation) -> Option<String> {
         let gpu = self.pool.gpu_name(grant)?;
         let name = self.gpu_names.get(gpu).cloned();
         Some(name.unwrap_or_else(|| gpu.to_owned()))
     }
 
-    /// A verb has failed or was interrupted.
+    /// A verb has failed or was interrupted. After an interrupt the cell waits for the next run of
+    /// the study. One that was resumed and can't go on from what is there begins anew, once: a new
+    /// one that fails has failed.
     fn not_done(&mut self, index: usize, begin: Begin, ended: &Ended) -> Result<(), StudyError> {
         let (cell, outcome) = (self.cells[index], &ended.outcome);
         // A recording that failed at its job, as on a full disk, is kept; one that is refused is of
@@ -111,7 +122,8 @@ impl Runner<'_> {
         Ok(())
     }
 
-    /// Gives up the lock of a cell, and that of the `input` of a training that is done.
+    /// Gives up the lock of a cell, and that of the `input` of a training that is done. What was
+    /// set aside comes back if the cell was not made anew.
     fn release(&mut self, cell: &Cell, lock: &File, input: Option<File>) -> Result<(), StudyError> {
         self.workshop
             .store
@@ -145,7 +157,8 @@ impl Runner<'_> {
         Ok(())
     }
 
-    /// A verb has done its part of a cell.
+    /// A verb has done its part of a cell. The result is checked and the manifest written; a result
+    /// that is not what was asked for makes the cell failed.
     pub(super) fn end(&mut self, index: usize, took: Took) {
         let cell = self.cells[index];
         match self.workshop.finish(cell, took) {
@@ -163,6 +176,8 @@ impl Runner<'_> {
         }
     }
 
+    /// Marks a cell as failed, for this run of the study; cells that need it are skipped, all
+    /// others go on.
     pub(super) fn fail(&mut self, index: usize, reason: &str) {
         let cell = self.cells[index];
         // Whatever is wrong with the folder is reported when it is used next.

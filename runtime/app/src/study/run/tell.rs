@@ -1,4 +1,5 @@
-//! What is said of a run.
+//! What is said of a run. All goes through `say`, a line at a time; cells are named by kind, short
+//! address and label.
 
 use hal::TimeNs;
 
@@ -7,6 +8,7 @@ use super::super::schedule::{ResourceRequest, at_a_time};
 use super::{Runner, Status};
 
 impl Runner<'_> {
+    /// How a cell is called in the summary at the end.
     pub(super) fn name(&self, index: usize) -> String {
         let cell = self.cells[index];
         format!(
@@ -30,7 +32,8 @@ impl Runner<'_> {
         }
     }
 
-    /// The time that is left, in words.
+    /// The time that is left, in words. `more than` where a kind has no cell yet from which its
+    /// time is known; empty when nothing is left.
     pub(super) fn left(&self) -> String {
         let mut left = Vec::new();
         for (index, cell) in self.cells.iter().enumerate() {
@@ -54,6 +57,8 @@ impl Runner<'_> {
         format!("; {} left, {about} {}", left.len(), in_words(seconds))
     }
 
+    /// A line of progress, with how many cells of this part have ended, failed and skipped ones
+    /// included.
     pub(super) fn tell(&mut self, index: usize, what: &str) {
         let cell = self.cells[index];
         let ended =
