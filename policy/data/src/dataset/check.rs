@@ -5,6 +5,9 @@ use hal::ARM_NAMES;
 use super::{ArmFrame, CameraSpec, DatasetError, DatasetSpec};
 
 /// Only what can be stored and read back.
+///
+/// Runs before the folder is touched: at least one frame a second, one or two arms, cameras of at
+/// least one pixel whose names differ.
 pub(super) fn check_spec(spec: &DatasetSpec) -> Result<(), DatasetError> {
     if spec.fps == 0 {
         return Err(input("fps", "0", "at least 1"));
@@ -39,7 +42,8 @@ fn check_camera(camera: &CameraSpec, before: &[CameraSpec]) -> Result<(), Datase
     Ok(())
 }
 
-/// Only what a video with halved colour can hold.
+/// Only what a video with halved colour can hold. `yuv420p` has one colour sample for every 2 x 2
+/// pixels, so both sides must be even.
 pub(super) fn check_video(spec: &DatasetSpec) -> Result<(), DatasetError> {
     let even = |camera: &super::CameraSpec| {
         camera.width.is_multiple_of(2) && camera.height.is_multiple_of(2)
@@ -55,6 +59,8 @@ pub(super) fn check_video(spec: &DatasetSpec) -> Result<(), DatasetError> {
 }
 
 /// As many arms as the dataset has, and every number finite.
+///
+/// Whether a pose is reachable or a quaternion of unit length is not checked here; imports do that.
 pub(super) fn check_arms(spec: &DatasetSpec, arms: &[ArmFrame]) -> Result<(), DatasetError> {
     if arms.len() != spec.arms {
         let found = format!("of {} arms", arms.len());
@@ -72,6 +78,7 @@ pub(super) fn check_arms(spec: &DatasetSpec, arms: &[ArmFrame]) -> Result<(), Da
     Ok(())
 }
 
+/// The error names the vector and the index in it, such as `psm2 action[3]`.
 fn check_finite<const N: usize>(what: &str, values: [f64; N]) -> Result<(), DatasetError> {
     match values.iter().position(|value| !value.is_finite()) {
         Some(index) => Err(input(

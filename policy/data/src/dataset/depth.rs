@@ -1,5 +1,12 @@
 //! Depth and instance ids of a camera, kept to the bit: 16-bit and 8-bit PNG beside the colour
 //! image.
+//!
+//! Depth goes in as whole units, not as metres: what is read back is what was written, and training
+//! sees the same numbers as a policy at run time, whose depths are rounded in the same way.
+//!
+//! Columns of a camera NAME: `observation.depth.NAME` and `observation.instance.NAME`, each a
+//! struct of `bytes` and `path`, and `observation.camera_pose.NAME`, seven `f64`. The lens is
+//! constant for a dataset and stands in `info.json`, not in the rows.
 
 use std::path::Path;
 
@@ -20,6 +27,8 @@ use crate::perception::{DEPTH_UNIT_M, depth_from_units};
 use crate::relative_action::pose_from_numbers;
 
 /// What a camera saw of depth in one frame.
+///
+/// Both planes must have exactly the pixels of the [`CameraSpec`]; the pose must be finite.
 #[derive(Clone, Copy, Debug)]
 pub struct DepthFrame<'a> {
     /// Depths in units of [`DEPTH_UNIT_M`], row-major; 0 is none.
@@ -45,6 +54,9 @@ pub struct RecordedDepth {
 
 impl RecordedDepth {
     /// The frame that a policy would see, without colour.
+    ///
+    /// Depths are in metres, 0 where there is none. Stamp and sequence are 0, since a dataset has
+    /// times of its own.
     #[must_use]
     pub fn into_frame(self) -> CameraFrame {
         CameraFrame {
@@ -69,10 +81,16 @@ impl DatasetSpec {
 }
 
 /// The depth of the episode in progress, of one camera.
+///
+/// One entry a frame in each list; the PNGs are encoded as frames come in, so memory holds no raw
+/// planes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DepthColumns {
+    /// PNG bytes, 16 bits a pixel, in units of [`DEPTH_UNIT_M`].
     pub(super) depth: Vec<Vec<u8>>,
+    /// PNG bytes, 8 bits a pixel.
     pub(super) instance: Vec<Vec<u8>>,
+    /// As [`DepthFrame::camera_in_scene`].
     pub(super) camera_in_scene: Vec<[f64; TIP_POSE_WIDTH]>,
 }
 
@@ -91,7 +109,8 @@ impl DepthColumns {
     }
 }
 
-/// The frame's depth as PNG, by camera.
+/// The frame's depth as PNG, by camera. The frame is refused if it has depth of another number of
+/// cameras than keep it.
 pub(super) fn encode(
     spec: &DatasetSpec,
     frames: &[DepthFrame<'_>],
@@ -141,6 +160,7 @@ fn encode_one(camera: &CameraSpec, frame: &DepthFrame<'_>) -> Result<DepthRow, D
     })
 }
 
+/// Lossless. The filter `Up` and fast compression cost the least time at recording rate.
 fn png(
     camera: &CameraSpec,
     bytes: &[u8],
@@ -157,6 +177,10 @@ fn png(
 }
 
 /// The lens of a camera whose depth is kept; none if it is not.
+///
+/// A feature that is there but has another unit than [`DEPTH_UNIT_M`], another shape than
+/// `[height, width, 1]` or an incomplete lens is refused: clouds made from it would be of another
+/// scale.
 pub(super) fn read_lens(
     path: &Path,
     info: &Info,
@@ -218,7 +242,7 @@ pub(super) fn read_lens(
     }))
 }
 
-/// Four coefficients.
+/// Four coefficients. `k1, k2, p1, p2` of the Brown-Conrady model; none for another number of them.
 fn coefficients(given: &Value) -> Option<Distortion> {
     let numbers = given.as_array()?.iter().map(Value::as_f64);
     let numbers: [f64; 4] = numbers.collect::<Option<Vec<_>>>()?.try_into().ok()?;
@@ -235,7 +259,8 @@ pub(super) fn require(table: &Table, spec: &DatasetSpec) -> Result<(), DatasetEr
     Ok(())
 }
 
-/// A camera's depth in one row of `table`.
+/// A camera's depth in one row of `table`. Two PNGs are read and decoded on each call; nothing is
+/// kept.
 pub(super) fn read(
     table: &Table,
     camera: &CameraSpec,
@@ -261,6 +286,8 @@ pub(super) fn read(
     })
 }
 
+/// The PNG in one cell, decoded and checked against the camera's size; of whatever bit depth it
+/// has.
 fn plane(
     table: &Table,
     camera: &CameraSpec,

@@ -1,4 +1,7 @@
 //! One episode's frames of one camera on their way into a video file, through the system's ffmpeg.
+//!
+//! Raw RGB goes into the child's standard input; a thread drains its standard error, so that a full
+//! pipe cannot block it. The file is `PATH.partial` until it is whole.
 
 use std::{
     fs::{self, File},
@@ -18,10 +21,15 @@ use super::{
 /// A video that is being written beside its place. Dropped unfinished, it leaves nothing.
 #[derive(Debug)]
 pub(crate) struct Encoder {
+    /// ffmpeg; it ends when its standard input is closed.
     child: Child,
+    /// Collects what ffmpeg says; taken when the child has ended.
     errors: Option<JoinHandle<String>>,
+    /// Where the whole file goes.
     path: PathBuf,
+    /// Where it is until then; no reader looks at this suffix.
     partial: PathBuf,
+    /// Set after the renaming; without it, dropping kills the child and removes the partial file.
     finished: bool,
 }
 
@@ -69,6 +77,10 @@ impl Encoder {
     }
 
     /// Adds a frame of RGB bytes.
+    ///
+    /// `rgb` is row-major, `3 * width * height` bytes, which the caller has checked; ffmpeg would
+    /// cut another number of bytes into frames all the same. Blocks while the pipe is full, so
+    /// recording is never ahead of the encoder by more than that.
     pub(crate) fn push(&mut self, rgb: &[u8]) -> Result<(), DatasetError> {
         let written = match self.child.stdin.as_mut() {
             Some(input) => input.write_all(rgb),
@@ -81,7 +93,8 @@ impl Encoder {
         Err(failed(&self.path, format!("ffmpeg gave up: {reason}")))
     }
 
-    /// Ends the video and puts it in its place, whole and durable.
+    /// Ends the video and puts it in its place, whole and durable. Waits for the encoder; then
+    /// syncs the file, renames it and syncs the folder.
     pub(crate) fn finish(mut self) -> Result<(), DatasetError> {
         let (good, reason) = self.end();
         if !good {

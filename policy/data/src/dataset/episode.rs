@@ -1,4 +1,6 @@
 //! The episode in progress: its frames in memory, and as columns of a data file.
+//!
+//! Everything but video stays in memory until the episode ends: numbers as they are, images as PNG.
 
 use std::{ops::Range, sync::Arc};
 
@@ -16,13 +18,20 @@ use super::{
     stats::ImageStats,
 };
 
-/// The episode in progress. The numbers of a frame are as many rows as there are arms.
+/// The episode in progress. The numbers of a frame are as many rows as there are arms. So the rows
+/// of frame `f` are `arms * f` to `arms * (f + 1)`, psm1 first.
 #[derive(Debug)]
 pub(super) struct Pending {
+    /// Arms of each frame; at least 1.
     arms: usize,
+    /// Frames so far. Not the length of `state`, which has a row for each arm.
     frames: usize,
+    /// Joint positions (rad, insertion m) and jaw (rad).
     pub(super) state: Vec<[f32; STATE_WIDTH]>,
+    /// Measured tip pose in the arm's RCM frame.
     pub(super) tip_pose: Vec<[f64; TIP_POSE_WIDTH]>,
+    /// Commanded tip pose and jaw, already rounded to what is stored, so that statistics are of the
+    /// stored numbers.
     pub(super) action: Vec<[f32; ACTION_WIDTH]>,
     /// Whether an operator drove, if the dataset says so.
     pub(super) intervention: Option<Vec<bool>>,
@@ -30,6 +39,7 @@ pub(super) struct Pending {
     pub(super) images: Vec<Vec<Vec<u8>>>,
     /// What depth the frames have, by camera that keeps it.
     pub(super) depth: Vec<DepthColumns>,
+    /// Of every tenth frame, by camera; merged into the dataset's when the episode ends.
     pub(super) image_stats: Vec<ImageStats>,
 }
 
@@ -49,11 +59,15 @@ impl Pending {
         }
     }
 
+    /// Frames pushed since the last episode ended.
     pub(super) const fn frame_count(&self) -> usize {
         self.frames
     }
 
-    /// Adds the coming frame's images, a PNG of each camera that is kept so, and its depth.
+    /// Adds a frame's images, a PNG of each camera that is kept so, and its depth.
+    ///
+    /// Called right after [`Self::push`] of the same frame, so the lists of all columns stay
+    /// equally long.
     pub(super) fn push_images(&mut self, pngs: Vec<Vec<u8>>, depth: Vec<DepthRow>) {
         for (images, png) in self.images.iter_mut().zip(pngs) {
             images.push(png);
@@ -92,6 +106,9 @@ impl Pending {
 }
 
 /// Columns of the data file in the order of its schema, for some frames of an episode.
+///
+/// `frames` counts from the episode's beginning. The order is that of `schema::data_schema`, which
+/// arrow compares when the batch is made.
 pub(super) fn columns(
     row: &EpisodeRow,
     pending: &Pending,
@@ -156,6 +173,7 @@ fn pngs(images: &[Vec<u8>], first: usize) -> ArrayRef {
     Arc::new(StructArray::new(schema::image_fields(), parts, None))
 }
 
+/// A column of lists of `width` numbers out of the flat, row-major `values`.
 fn vectors(data_type: DataType, width: usize, values: ArrayRef) -> ArrayRef {
     #[expect(
         clippy::cast_possible_truncation,
@@ -171,7 +189,8 @@ fn vectors(data_type: DataType, width: usize, values: ArrayRef) -> ArrayRef {
     ))
 }
 
-/// Value of one of the integer columns.
+/// Value of one of the integer columns. `frame_index` counts within the episode, `index` over the
+/// whole dataset.
 pub(super) fn index_value(name: &str, row: &EpisodeRow, frame: usize) -> i64 {
     let value = match name {
         "frame_index" => frame,

@@ -1,8 +1,14 @@
 //! What can be wrong with a dataset, named by file.
+//!
+//! Text of a source error is not repeated in the message: who prints it walks the chain. Nothing
+//! here is on a real-time path; strings are owned.
 
 use std::{io, path::PathBuf};
 
 /// Why a dataset can't be written or read.
+///
+/// Damage and disagreement are [`Self::Mismatch`] or one of the parser's variants, never a panic;
+/// wrong arguments of a caller are [`Self::Input`].
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
     /// A file is missing, or the system refused.

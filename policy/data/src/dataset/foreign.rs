@@ -1,5 +1,10 @@
 //! Any LeRobot dataset of v2.0, v2.1 or v3.0, whatever its features are: columns by name, texts,
 //! and frames of its cameras.
+//!
+//! [`Dataset`](super::Dataset) reads datasets with this robot's vectors; this reader is for the
+//! import by a mapping, which says which columns mean what. One data file is open at a time, with
+//! the columns that were asked for kept as `f64` or text until another file is needed: episodes are
+//! read in their order.
 
 use std::{
     collections::BTreeMap,
@@ -31,16 +36,22 @@ const TASK_INDEX: &str = "task_index";
 /// A dataset that is open for reading.
 #[derive(Debug)]
 pub(crate) struct Foreign {
+    /// `meta/info.json`, for messages.
     info_path: PathBuf,
     info: Info,
+    /// The dataset's tasks by `task_index`.
     tasks: BTreeMap<i64, String>,
+    /// The episodes that `info.json` counts, in order.
     listed: Vec<Listed>,
     /// The first row of each episode within its file.
     first_rows: Vec<usize>,
     /// The requested cameras: their features and sizes.
     cameras: Vec<CameraSpec>,
+    /// The cameras' features, in the order of `cameras`.
     features: Vec<String>,
+    /// Frames of those that are kept as video.
     videos: VideoFrames,
+    /// None before the first number, text or PNG is read.
     file: Option<OpenFile>,
 }
 
@@ -48,7 +59,9 @@ pub(crate) struct Foreign {
 #[derive(Debug)]
 struct OpenFile {
     table: Table,
+    /// Width and values of each column, over all rows of the file.
     numbers: BTreeMap<String, (usize, Vec<f64>)>,
+    /// One text a row.
     texts: BTreeMap<String, Vec<String>>,
 }
 
@@ -60,7 +73,7 @@ impl Foreign {
     }
 
     /// Opens the dataset in the folder `dir`; `features` are those of the cameras that will be
-    /// read.
+    /// read. Reads the tables of `meta` and the frame times of every video; no data file yet.
     pub(crate) fn open(dir: &Path, features: &[String]) -> Result<Self, DatasetError> {
         let info = meta::read_info(dir)?;
         let info_path = meta::info_path(dir);
@@ -114,6 +127,7 @@ impl Foreign {
     }
 
     /// The ranges of episodes that `info.json` calls `name`, as text; see [`Self::is_in_split`].
+    /// None if there is no such split.
     pub(crate) fn split(&self, name: &str) -> Option<&str> {
         self.info.splits.get(name).map(String::as_str)
     }
@@ -124,7 +138,7 @@ impl Foreign {
     }
 
     /// Whether the split `name`, ranges `a:b` of episodes with commas between them, has the
-    /// episode.
+    /// episode. An unknown split has no episode.
     ///
     /// # Errors
     /// [`DatasetError::Mismatch`] for a split that is none.
@@ -151,6 +165,9 @@ impl Foreign {
     }
 
     /// The names of the numbers in a feature; empty if the dataset names none.
+    ///
+    /// Nested lists and objects are flattened in their order; an object's keys are sorted by the
+    /// parser.
     pub(crate) fn element_names(&self, name: &str) -> Result<Vec<String>, DatasetError> {
         let feature = feature(&self.info_path, &self.info, name)?;
         let mut names = Vec::new();
@@ -163,7 +180,12 @@ impl Foreign {
         self.info.features.iter().any(|(other, _)| other == name)
     }
 
-    /// The numbers of a feature in an episode, row after row, and how many a row has.
+    /// The numbers of a feature in an episode, row after row, and how many a row has. The whole
+    /// column of the file is read once and kept; the episode's part is copied.
+    ///
+    /// # Errors
+    /// [`DatasetError::Missing`] or [`DatasetError::Mismatch`] for a column that is not there, is
+    /// no number, has a null, rows of different width, or ends before the episode.
     pub(crate) fn numbers(
         &mut self,
         episode: usize,
@@ -205,7 +227,8 @@ impl Foreign {
         part.ok_or_else(|| short(&file.table, name, found, rows.end))
     }
 
-    /// The dataset's own `task` of each frame of an episode.
+    /// The dataset's own `task` of each frame of an episode. A number that the table of tasks lacks
+    /// is an error, not an empty text.
     pub(crate) fn tasks(&mut self, episode: usize) -> Result<Vec<String>, DatasetError> {
         let (width, numbers) = self.numbers(episode, TASK_INDEX)?;
         let text = |row: &[f64]| {
@@ -253,6 +276,7 @@ impl Foreign {
         Ok(image)
     }
 
+    /// The rows of an episode within its data file.
     fn rows(&self, episode: usize) -> std::ops::Range<usize> {
         let first = self.first_rows[episode];
         first..first + self.listed[episode].len
@@ -297,6 +321,9 @@ impl Foreign {
 }
 
 /// Only what the readers take for granted.
+///
+/// Before v3.0 the path of an episode follows from its number and the size of a chunk; this program
+/// builds it with 1000, LeRobot's constant.
 fn check_info(path: &Path, info: &Info) -> Result<(), DatasetError> {
     if info.fps == 0 {
         return Err(mismatch(path.to_owned(), "fps", 0, "at least 1"));
@@ -308,6 +335,7 @@ fn check_info(path: &Path, info: &Info) -> Result<(), DatasetError> {
     Ok(())
 }
 
+/// The description of a feature that must be there.
 fn feature<'a>(path: &Path, info: &'a Info, name: &str) -> Result<&'a Feature, DatasetError> {
     let found = info.features.iter().find(|(other, _)| other == name);
     found
@@ -350,6 +378,9 @@ fn short(table: &Table, name: &str, found: usize, expected: usize) -> DatasetErr
 }
 
 /// Decodes PNG or JPEG whose header may lie.
+///
+/// The format is told by the first bytes. Sides beyond [`SIDE_MAX`] are refused before anything is
+/// allocated for them.
 pub(crate) fn decode(bytes: &[u8]) -> Result<RgbImage, image::ImageError> {
     let mut limits = Limits::default();
     limits.max_image_width = Some(SIDE_MAX);
@@ -369,6 +400,9 @@ fn video_features(info: &Info, features: &[String]) -> Vec<String> {
 }
 
 /// The episodes that `info` counts, in order.
+///
+/// More may be listed than counted: those were being written when a recording was cut off. Fewer is
+/// an error.
 fn read_listed(dir: &Path, info: &Info, videos: &[String]) -> Result<Vec<Listed>, DatasetError> {
     let mut listed = layout::read_episodes(dir, info, videos)?;
     if listed.len() < info.total_episodes {

@@ -12,6 +12,7 @@ use parquet::errors::ParquetError;
 use super::DatasetError;
 
 thread_local! {
+    /// Set only while [`reading`] runs on this thread.
     static READING: RefCell<Option<PathBuf>> = const { RefCell::new(None) };
 }
 
@@ -28,6 +29,9 @@ pub fn file_being_read() -> Option<PathBuf> {
 }
 
 /// What `read` makes of the file `path`; a panic in it is an error that names the file.
+///
+/// Every call into the parquet reader goes through here. Works only where panics unwind, and where
+/// the panic hook does not end the program while [`file_being_read`] names a file.
 pub(super) fn reading<T>(
     path: &Path,
     read: impl FnOnce() -> Result<T, DatasetError>,

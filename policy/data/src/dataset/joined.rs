@@ -1,4 +1,7 @@
 //! Several datasets as one, their episodes one after another.
+//!
+//! A joined dataset has one numbering: episodes, frames and tables of the second follow those of
+//! the first. Files stay where they are; nothing is copied.
 
 use core::cell::Cell;
 use std::path::{Path, PathBuf};
@@ -27,7 +30,8 @@ impl Dataset {
     ///
     /// They must have the same arms, the same frames a second, and the cameras with the same sizes:
     /// all the same ones, or those that are named. With `depth` their lenses must be the same too;
-    /// without, depth is left out where they are not. The task is the first's.
+    /// without, depth is left out where they are not. The task is the first's. Folders beyond the
+    /// requested number of episodes are counted and not opened.
     ///
     /// # Errors
     /// Those of [`Self::open_part`]; [`DatasetError::Apart`], which names two datasets and what
@@ -62,7 +66,7 @@ impl Dataset {
         Ok(joined)
     }
 
-    /// Appends the episodes of `other`.
+    /// Appends the episodes of `other`. Indices of `other` are moved up by what is already there.
     fn append(&mut self, other: Self, depth: bool) -> Result<(), DatasetError> {
         if let Some(difference) = difference(&self.spec, &other.spec, depth) {
             let dir = |dataset: &Self| dataset.parts.first().map(|part| part.dir.clone());
@@ -132,6 +136,7 @@ fn check_cameras<'a>(
     })
 }
 
+/// The names for a message.
 fn listed(names: &[String]) -> String {
     match names {
         [] => "empty".to_owned(),
@@ -145,6 +150,8 @@ fn apart(what: &str, first: &str, other: &str) -> String {
 }
 
 /// The first thing that datasets with the same cameras must have in common and have not, in words.
+///
+/// Arms first, then the rate, then each camera's size and, with `depth`, its lens to the bit.
 fn difference(a: &DatasetSpec, b: &DatasetSpec, depth: bool) -> Option<String> {
     let apart = |what: &str, a: String, b: String| (a != b).then(|| apart(what, &a, &b));
     let number = |what: &str, a: usize, b: usize| apart(what, a.to_string(), b.to_string());
@@ -163,6 +170,8 @@ fn difference(a: &DatasetSpec, b: &DatasetSpec, depth: bool) -> Option<String> {
         .or_else(of_cameras)
 }
 
+/// A lens in words; two lenses are the same if their words are, and `{:?}` gives every bit of a
+/// float.
 fn lens(depth: Option<Intrinsics>) -> String {
     depth.map_or_else(
         || "not recorded".to_owned(),

@@ -7,6 +7,10 @@
 //! data   chunk-000/file-000.parquet, many episodes a file      chunk-000/episode_000000.parquet
 //! videos KEY/chunk-000/file-000.mp4, many episodes a file      chunk-000/KEY/episode_000000.mp4
 //! ```
+//!
+//! v2.0 and v2.1 differ for a reader only in their statistics (`stats.json` against
+//! `episodes_stats.jsonl`), which are not read here. Paths are built, not taken from the templates
+//! `data_path` and `video_path` in `info.json`.
 
 use std::{
     collections::BTreeMap,
@@ -30,6 +34,9 @@ use super::{
 const LINE_MAX: u64 = 1 << 20;
 
 /// The episodes in order; `videos` are the features that are kept as video.
+///
+/// In v2.x their lines must be numbered from 0 without a gap, and where an episode begins is the
+/// sum of the lengths before it; v3.0 says it in `dataset_from_index`.
 pub(super) fn read_episodes(
     dir: &Path,
     info: &Info,
@@ -71,7 +78,8 @@ fn alone(dir: &Path, index: usize, [start, len]: [usize; 2], videos: &[String]) 
     }
 }
 
-/// What the episodes show, in words: the first task.
+/// What the episodes show, in words: the first task. The dataset's other tasks are left out: a
+/// dataset of this robot has one.
 pub(super) fn read_task(dir: &Path, info: &Info) -> Result<String, DatasetError> {
     if info.codebase_version == VERSION {
         return meta::read_task(dir);
@@ -94,24 +102,31 @@ pub(super) fn read_tasks(dir: &Path, info: &Info) -> Result<BTreeMap<i64, String
     Ok(numbered.collect())
 }
 
+/// A line of `tasks.jsonl` for [`read_tasks`].
 #[derive(Deserialize)]
 struct NumberedTask {
     task_index: i64,
     task: String,
 }
 
+/// A line of `episodes.jsonl`; its `tasks` are not needed, since each row names its own.
 #[derive(Deserialize)]
 struct EpisodeLine {
     episode_index: usize,
+    /// Frames of the episode.
     length: usize,
 }
 
+/// A line of `tasks.jsonl` for [`read_task`], which needs no number.
 #[derive(Deserialize)]
 struct TaskLine {
     task: String,
 }
 
 /// A JSON value a line, empty lines left out.
+///
+/// A line of more than `LINE_MAX` bytes is cut there and then malformed: no file makes this
+/// allocate more than its values need.
 pub(super) fn read_lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, DatasetError> {
     let mut reader = BufReader::new(files::open(path).map_err(io_error(path))?);
     let mut values = Vec::new();

@@ -1,4 +1,7 @@
 //! The `meta` folder: what it holds, written and read.
+//!
+//! Written in v3.0 only. The order of writing makes a commit: tables first, `info.json` last, and a
+//! reader believes no more episodes than that counts.
 
 use std::{
     collections::BTreeMap,
@@ -23,25 +26,32 @@ use super::{
     table::Table,
 };
 
-/// Where data files are, as `info.json` says it.
+/// Where data files are, as `info.json` says it. Template for LeRobot's `str.format`; here paths
+/// are built by [`data_path`].
 const DATA_PATH: &str = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet";
 
-/// Where videos are, as `info.json` says it.
+/// Where videos are, as `info.json` says it. As [`DATA_PATH`], for [`video_path`].
 const VIDEO_PATH: &str = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4";
 
-/// Files a folder may hold.
+/// Files a folder may hold. LeRobot's default; `info.json` repeats it as `chunks_size`.
 pub(super) const CHUNK_SIZE: usize = 1000;
 
 /// One row of the episodes table.
+///
+/// This writer gives each episode a data file of its own, which the format allows: an interrupted
+/// recording then never leaves half a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct EpisodeRow {
     pub(super) index: usize,
     pub(super) start: usize,
     pub(super) len: usize,
+    /// Number of its folder `chunk-NNN`.
     pub(super) chunk: usize,
+    /// Number of its file within the folder.
     pub(super) file: usize,
 }
 
+/// The description and commit record of the dataset in `dir`.
 pub(super) fn info_path(dir: &Path) -> PathBuf {
     dir.join("meta/info.json")
 }
@@ -54,6 +64,7 @@ pub(super) fn tasks_path(dir: &Path) -> PathBuf {
     dir.join("meta/tasks.parquet")
 }
 
+/// A data file of v3.0.
 pub(super) fn data_path(dir: &Path, chunk: usize, file: usize) -> PathBuf {
     dir.join(format!("data/chunk-{chunk:03}/file-{file:03}.parquet"))
 }
@@ -66,6 +77,9 @@ pub(super) fn video_path(dir: &Path, feature: &str, chunk: usize, file: usize) -
 }
 
 /// The commit record for `episodes` episodes with `frames` frames.
+///
+/// The limits of file sizes are LeRobot's defaults and say nothing about this writer's files. All
+/// episodes are in the one split `train`.
 pub(super) fn info(
     spec: &DatasetSpec,
     video: Option<VideoCodec>,
@@ -91,6 +105,9 @@ pub(super) fn info(
     }
 }
 
+/// # Errors
+/// [`DatasetError::Io`]; [`DatasetError::Json`]; [`DatasetError::Version`] for a generation of the
+/// format that is not read.
 pub(super) fn read_info(dir: &Path) -> Result<Info, DatasetError> {
     let path = info_path(dir);
     let text = files::read_text(&path, "info.json", files::JSON_SIZE_MAX);
@@ -116,6 +133,7 @@ pub(super) fn write_info(dir: &Path, info: &Info) -> Result<(), DatasetError> {
     write_json(&info_path(dir), info)
 }
 
+/// The table with the one task, number 0.
 pub(super) fn write_task(dir: &Path, task: &str) -> Result<(), DatasetError> {
     let columns: Vec<ArrayRef> = vec![
         Arc::new(Int64Array::from(vec![0])),
@@ -146,6 +164,8 @@ pub(super) fn read_tasks(dir: &Path) -> Result<BTreeMap<i64, String>, DatasetErr
     Ok(numbers.into_iter().zip(texts).collect())
 }
 
+/// Rewrites the whole table: O(episodes) at each end of an episode. A video's times are `0` to
+/// `len / fps`, since each episode has a file of its own.
 pub(super) fn write_episodes(
     dir: &Path,
     task: &str,
@@ -192,6 +212,7 @@ pub(super) fn write_episodes(
     )
 }
 
+/// The time that `frames` frames take, s.
 #[expect(
     clippy::cast_precision_loss,
     reason = "frame counts stay far below 2^53"
@@ -201,7 +222,7 @@ fn seconds_of(frames: usize, fps: u32) -> f64 {
 }
 
 /// The episodes in order, out of every file of the table; `videos` are the features that are kept
-/// as video.
+/// as video. The files are read in order of their names and the rows sorted by their number.
 pub(super) fn read_episodes(dir: &Path, videos: &[String]) -> Result<Vec<Listed>, DatasetError> {
     let mut rows = Vec::new();
     for path in parquet_files(&dir.join("meta/episodes"))? {
@@ -261,6 +282,7 @@ fn read_video_places(
     videos.iter().map(of_feature).collect()
 }
 
+/// One batch as a parquet file of `meta`, with the library's default properties.
 fn write_table(path: &Path, schema: Schema, columns: Vec<ArrayRef>) -> Result<(), DatasetError> {
     let schema = Arc::new(schema);
     let batch = RecordBatch::try_new(Arc::clone(&schema), columns)

@@ -27,6 +27,11 @@
 //! [`DatasetWriter`] records, [`Dataset`] reads, several as one too. A recording that is cut off
 //! loses the episode in progress and nothing else. Every file is replaced by renaming, never
 //! written in place. [`DatasetWriter::resume`] goes on with it.
+//!
+//! A row is a frame: what was observed at its instant, and the command given for it, so `action` of
+//! row `t` belongs to the observation of row `t`. Times are `frame / fps` since the episode's first
+//! frame, rounded to `f32` as LeRobot's readers check them; a recorder that samples a robot has
+//! resampled to that grid before.
 
 mod check;
 mod depth;
@@ -86,16 +91,17 @@ pub const TIP_POSE_WIDTH: usize = 7;
 /// angle (rad).
 pub const ACTION_WIDTH: usize = 8;
 
-/// What a dataset is of.
+/// What a dataset is of. Fixed for all episodes; [`DatasetWriter::resume`] refuses another one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DatasetSpec {
     /// Frames a second; the spacing of rows is exactly `1 / fps`.
     pub fps: u32,
-    /// The robot's name.
+    /// The robot's name. LeRobot shows it and does not interpret it.
     pub robot_type: String,
     /// How many arms it has, one or two.
     pub arms: usize,
-    /// What every episode shows, in words.
+    /// What every episode shows, in words. LeRobot's language instruction; policies conditioned on
+    /// language see it.
     pub task: String,
     /// The cameras, in the order in which frames bring their images.
     pub cameras: Vec<CameraSpec>,
@@ -137,6 +143,8 @@ pub struct ArmFrame {
 }
 
 /// What happened in one frame.
+///
+/// Borrowed: the writer copies what it keeps before [`DatasetWriter::push_frame`] returns.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameRecord<'a> {
     /// The arms in their order, as many as [`DatasetSpec::arms`].
@@ -148,6 +156,8 @@ pub struct FrameRecord<'a> {
 }
 
 /// Where one episode lies among all frames.
+///
+/// Episodes lie one after another without a gap: each `start` is the end of the one before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Episode {
     /// Number of the episode, from 0.

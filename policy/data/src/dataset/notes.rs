@@ -26,9 +26,10 @@ use super::{
 /// What is said of a dataset.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Notes {
-    /// Of the recording as a whole, where LeRobot's users see it.
+    /// Of the recording as a whole, where LeRobot's users see it. The key `trocar` of `info.json`;
+    /// an object.
     pub recording: Option<Value>,
-    /// The options of the recording, all of them.
+    /// The options of the recording, all of them. `trocar_recording.json`; an object.
     pub options: Option<Value>,
     /// Of episodes, in their order; each has its `episode_index`.
     pub episodes: Vec<Value>,
@@ -36,6 +37,9 @@ pub struct Notes {
 
 impl Notes {
     /// Reads what the dataset in the folder `dir` says.
+    ///
+    /// Lines of episodes beyond the total of `info.json` are left out, as their rows are. Missing
+    /// notes are no error; a missing `info.json` is.
     ///
     /// # Errors
     /// [`DatasetError::Io`] or [`DatasetError::Json`], naming the file.
@@ -91,6 +95,7 @@ impl Notes {
     }
 }
 
+/// None if the file is missing.
 fn read_options(dir: &Path) -> Result<Option<Value>, DatasetError> {
     let path = options_path(dir);
     let text = match files::read(&path, "its JSON", files::JSON_SIZE_MAX) {

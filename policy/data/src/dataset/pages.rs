@@ -1,4 +1,7 @@
 //! How the data files are laid out in pages.
+//!
+//! Parquet stores a column of a row group as pages, and its page index says where each begins; a
+//! reader that wants one row decodes one page. The other columns keep the library's page size.
 
 use parquet::{
     basic::Compression,

@@ -1,4 +1,6 @@
 //! RGB images to PNG and back, at the settings that cost least time.
+//!
+//! Colour only; depth and ids have bit depths and filters of their own in `depth`.
 
 use std::io::Cursor;
 
@@ -8,10 +10,14 @@ use image::{
     codecs::png::{CompressionType, FilterType, PngEncoder},
 };
 
-/// Pixels that a side of an image may have.
+/// Pixels that a side of an image may have. Bounds what a header that lies can have a decoder
+/// allocate.
 pub const SIDE_MAX: u32 = 8192;
 
 /// Encodes 8-bit RGB, row-major, `3 * width * height` bytes.
+///
+/// Lossless. Fast compression with adaptive filters: recording runs at the cameras' rate, and a
+/// smaller file would cost more time than it saves on disk.
 ///
 /// # Errors
 /// The codec's, for zero sizes or a wrong number of bytes.
@@ -29,7 +35,8 @@ pub fn encode_rgb(rgb: &[u8], width: u32, height: u32) -> Result<Vec<u8>, ImageE
     Ok(png)
 }
 
-/// Decodes a PNG of any colour type to 8-bit RGB.
+/// Decodes a PNG of any colour type to 8-bit RGB. Alpha is dropped; grey becomes three equal
+/// channels; 16 bits are scaled to 8.
 ///
 /// # Errors
 /// The codec's, for anything that is no whole PNG, or one with a side of more than 8192 pixels.

@@ -1,4 +1,9 @@
 //! Reading: numbers are loaded at once, images one by one on request.
+//!
+//! About 176 bytes an arm and frame stay in memory, which is what makes shuffled access to actions
+//! free. Images stay in their files, since a dataset of pictures rarely fits. A frame is numbered
+//! over the whole dataset, episode after episode; reading one at or beyond [`Dataset::len`] panics,
+//! as with slices.
 
 use std::path::Path;
 
@@ -23,19 +28,29 @@ use super::{
 /// A dataset that is open for reading; several threads may share it.
 #[derive(Debug)]
 pub struct Dataset {
+    /// As its `info.json` describes it, reduced to the cameras that were asked for.
     pub(super) spec: DatasetSpec,
     /// The simulator's task, if its recording says so.
     simulated: Option<String>,
+    /// The datasets that this one is of; at least one.
     pub(super) parts: Vec<Part>,
+    /// Names of `spec.cameras`, without the prefix of their features.
     camera_names: Vec<String>,
+    /// In order; `start` counts over all parts.
     pub(super) episodes: Vec<Episode>,
+    /// The numbers of all frames.
     pub(super) rows: Rows,
+    /// The data files, one entry each; footers only.
     pub(super) tables: Vec<Table>,
+    /// Frames of the cameras that are kept as video.
     pub(super) videos: VideoFrames,
 }
 
 impl Dataset {
     /// Opens the dataset in the folder `dir` and loads its numbers.
+    ///
+    /// Every row is checked against the table of episodes, every number for being finite, every
+    /// video for having the frames; images are not decoded.
     ///
     /// # Errors
     /// A [`DatasetError`] that names the file: one that is missing, damaged, cut off, of another
@@ -200,17 +215,21 @@ impl Dataset {
         self.rows.action[self.row(frame, arm)]
     }
 
+    /// Place of an arm's vectors in `rows`. Asserts the arm: with two arms, a wrong one would be
+    /// another frame's.
     const fn row(&self, frame: usize, arm: usize) -> usize {
         assert!(arm < self.spec.arms, "no such arm");
         frame * self.spec.arms + arm
     }
 
+    /// The PNG bytes of a frame, read from its data file.
     fn image_png(&self, frame: usize, camera: usize) -> Result<Vec<u8>, DatasetError> {
         let Place { table, row } = self.rows.place[frame];
         self.tables[table].image(&image_feature(&self.camera_names[camera]), row)
     }
 
-    /// The episode of a frame, and which of its frames it is, both from 0.
+    /// The episode of a frame, and which of its frames it is, both from 0. A binary search over the
+    /// episodes.
     #[must_use]
     pub fn place(&self, frame: usize) -> [usize; 2] {
         let episode = self.episodes.partition_point(|it| it.start <= frame) - 1;
@@ -338,6 +357,7 @@ impl Dataset {
     }
 }
 
+/// The cameras' names in their order.
 fn names(cameras: &[CameraSpec]) -> Vec<String> {
     cameras.iter().map(|camera| camera.name.clone()).collect()
 }

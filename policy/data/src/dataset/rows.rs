@@ -1,5 +1,8 @@
 //! The numbers of a dataset's frames, taken out of its data files and checked against the table of
 //! episodes.
+//!
+//! A file is read column by column as a whole, checked, and only then appended; what is damaged
+//! never gets into a [`Dataset`](super::Dataset).
 
 use std::ops::Range;
 
@@ -10,12 +13,14 @@ use super::{
     table::Table,
 };
 
-/// The numbers of some frames; a vector has as many rows a frame as there are arms.
+/// The numbers of some frames; a vector has as many rows a frame as there are arms. Widened to
+/// `f64`, in which stored `f32` are exact.
 #[derive(Debug, Default)]
 pub(super) struct Rows {
     pub(super) state: Vec<[f64; STATE_WIDTH]>,
     pub(super) tip_pose: Vec<[f64; TIP_POSE_WIDTH]>,
     pub(super) action: Vec<[f64; ACTION_WIDTH]>,
+    /// By frame: where its images are.
     pub(super) place: Vec<Place>,
 }
 
@@ -36,20 +41,24 @@ impl Rows {
 /// Where a frame is stored.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
+    /// Index into the dataset's tables.
     pub(super) table: usize,
+    /// Row within that file.
     pub(super) row: usize,
 }
 
-/// The numbers of one data file.
+/// The numbers of one data file. Dropped when the rows of the wanted episodes are taken over.
 pub(super) struct FileRows {
     arms: usize,
     state: Vec<[f64; STATE_WIDTH]>,
     tip_pose: Vec<[f64; TIP_POSE_WIDTH]>,
     action: Vec<[f64; ACTION_WIDTH]>,
+    /// The episode that each row says it belongs to.
     pub(super) episode_index: Vec<i64>,
 }
 
 impl FileRows {
+    /// All columns of numbers, which must have the same number of rows.
     pub(super) fn read(table: &Table, arms: usize) -> Result<Self, DatasetError> {
         let file = Self {
             arms,
@@ -106,6 +115,9 @@ fn not_finite<const N: usize>(vectors: &[[f64; N]]) -> Option<(usize, f64)> {
 
 /// An episode has to lie where the table of episodes says, and nowhere else: the rows `range` of
 /// the file's `indices` of episodes.
+///
+/// Four ways to be wrong: the file goes on after an episode that should be alone in it, it ends too
+/// early, a row belongs to another episode, or the list leaves a gap.
 pub(super) fn check_episode(
     table: &Table,
     listed: &Listed,

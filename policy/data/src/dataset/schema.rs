@@ -1,4 +1,8 @@
 //! Names, types and order of the columns, as LeRobot's `info.json` and as Arrow schemas.
+//!
+//! The same order holds for the features in `info.json`, the columns of a data file and the arrays
+//! that `episode::columns` makes: state, tip pose, action, cameras, depth of each camera that keeps
+//! it, `intervention`, `timestamp`, indices.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -14,26 +18,34 @@ use serde_json::{Value, json};
 use super::{ACTION_WIDTH, CameraSpec, DatasetSpec, STATE_WIDTH, TIP_POSE_WIDTH, VideoCodec};
 use crate::perception::DEPTH_UNIT_M;
 
+/// What this program writes, LeRobot's `codebase_version`.
 pub(super) const VERSION: &str = "v3.0";
 /// Versions that are read.
 pub(super) const READABLE: [&str; 3] = [VERSION, "v2.1", "v2.0"];
+/// Measured joints and jaws, `float32`.
 pub(crate) const STATE: &str = "observation.state";
+/// Measured tip poses, `float64`: a feature of ours, which LeRobot treats as any other vector.
 pub(super) const TIP_POSE: &str = "observation.tip_pose";
+/// Commanded tip poses and jaws, `float32`.
 pub(crate) const ACTION: &str = "action";
+/// What a camera's feature begins with; its name follows.
 pub(crate) const IMAGE_PREFIX: &str = "observation.images.";
+/// Likewise of its depth.
 pub(super) const DEPTH_PREFIX: &str = "observation.depth.";
 pub(super) const INSTANCE_PREFIX: &str = "observation.instance.";
 pub(super) const CAMERA_POSE_PREFIX: &str = "observation.camera_pose.";
 /// Whether an operator drove and not the policy: as LeRobot calls it.
 pub(super) const INTERVENTION: &str = "intervention";
+/// Seconds since the episode began, `float32`.
 pub(crate) const TIMESTAMP: &str = "timestamp";
 pub(super) const EPISODE_INDEX: &str = "episode_index";
 /// Integer columns that every LeRobot dataset ends with.
 pub(crate) const INDICES: [&str; 4] = ["frame_index", EPISODE_INDEX, "index", "task_index"];
 
+/// Order of a pose's numbers: the quaternion's real part last, as in ROS and SciPy.
 const POSE_NAMES: [&str; TIP_POSE_WIDTH] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
 
-/// `meta/info.json`.
+/// `meta/info.json`. Keys that are not listed here are ignored when it is read.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Info {
     pub(super) codebase_version: String,
@@ -41,6 +53,7 @@ pub(super) struct Info {
     pub(super) total_episodes: usize,
     pub(super) total_frames: usize,
     pub(super) total_tasks: usize,
+    /// Files in a folder `chunk-NNN`.
     pub(super) chunks_size: usize,
     // Of v3.0 alone.
     #[serde(default)]
@@ -48,10 +61,12 @@ pub(super) struct Info {
     #[serde(default)]
     pub(super) video_files_size_in_mb: usize,
     pub(super) fps: u32,
+    /// Ranges `FROM:TO` of episodes by name.
     #[serde(default)]
     pub(super) splits: BTreeMap<String, String>,
     pub(super) data_path: String,
     pub(super) video_path: Option<String>,
+    /// A JSON object, kept in the order of the file: cameras are numbered by it.
     #[serde(
         serialize_with = "serialize_in_order",
         deserialize_with = "deserialize_in_order"
@@ -65,10 +80,14 @@ pub(super) struct Info {
 /// One entry of `features`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Feature {
+    /// `float32`, `float64`, `int64`, `bool`, `string`, `image` or `video`.
     pub(super) dtype: String,
+    /// Of one row; `[height, width, 3]` of an image.
     pub(super) shape: Vec<usize>,
+    /// A list of the numbers' names, an object of such lists, or null.
     #[serde(default)]
     pub(super) names: Value,
+    /// Of a video its codec and size, of depth its unit and lens.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) info: Option<Value>,
 }
@@ -101,7 +120,8 @@ fn of_arms(arms: usize, names: &[&str]) -> Vec<String> {
     all
 }
 
-/// Every feature of a dataset, in column order; the colour is kept as PNG or as video.
+/// Every feature of a dataset, in column order; the colour is kept as PNG or as video. With video a
+/// camera has its feature here and no column in the data files.
 pub(super) fn features(spec: &DatasetSpec, video: Option<VideoCodec>) -> Vec<(String, Feature)> {
     let vector = |dtype: &str, names: &[&str]| {
         let names = of_arms(spec.arms, names);
@@ -189,7 +209,8 @@ pub(crate) fn describe_video(
     })
 }
 
-/// Schema of the data files; a camera that is kept as video has no column.
+/// Schema of the data files; a camera that is kept as video has no column. All fields are nullable,
+/// as in the files that LeRobot writes; values never are.
 pub(super) fn data_schema(spec: &DatasetSpec, video: Option<VideoCodec>) -> Schema {
     let mut fields = vec![
         vector_field(STATE, DataType::Float32, spec.arms * STATE_WIDTH),
@@ -215,7 +236,8 @@ pub(super) fn data_schema(spec: &DatasetSpec, video: Option<VideoCodec>) -> Sche
     Schema::new(fields)
 }
 
-/// Parts of an image column, as Hugging Face `datasets` stores them.
+/// Parts of an image column, as Hugging Face `datasets` stores them. `path` is only a name; the
+/// image is in `bytes`.
 pub(super) fn image_fields() -> arrow_schema::Fields {
     vec![
         Field::new("bytes", DataType::Binary, true),
@@ -293,6 +315,7 @@ pub(crate) fn item(data_type: DataType) -> Arc<Field> {
     Arc::new(Field::new_list_field(data_type, true))
 }
 
+/// A column of fixed-size lists of `width` numbers.
 pub(crate) fn vector_field(name: &str, data_type: DataType, width: usize) -> Field {
     #[expect(
         clippy::cast_possible_truncation,

@@ -1,5 +1,10 @@
 //! Frames of video for readers that want one after another: pieces are decoded whole and the latest
 //! are kept.
+//!
+//! A decoder has to begin at a key frame and costs a process, so single frames are dear; a training
+//! that walks along an episode pays for one piece in up to 64 frames. The cache is shared by all
+//! threads and locked only for the look-up, not while decoding: two threads that miss the same
+//! piece both decode it.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -17,6 +22,7 @@ use super::{
 
 /// Bytes that a piece should not exceed; it has at least one frame, at most [`PIECE_FRAMES_MAX`].
 const PIECE_BYTES: usize = 24 << 20;
+/// Frames that a piece has at most.
 const PIECE_FRAMES_MAX: usize = 64;
 
 /// Pieces that are kept: at least one for each camera of each thread that reads.
@@ -27,7 +33,9 @@ const PIECES_MAX: usize = 32;
 pub(super) struct VideoFrames {
     /// By camera, then episode; none of a camera that is not kept as video.
     cameras: Vec<Vec<Option<Place>>>,
+    /// Each file once, however many episodes it holds.
     files: Vec<VideoFile>,
+    /// Decoded RGB, the least recently used first.
     recent: Mutex<VecDeque<(Key, Arc<Vec<u8>>)>>,
 }
 
@@ -35,10 +43,12 @@ pub(super) struct VideoFrames {
 #[derive(Clone, Copy, Debug)]
 struct Place {
     file: usize,
+    /// Its first frame among those of the file.
     first: usize,
     len: usize,
 }
 
+/// A file and when each of its frames is shown.
 #[derive(Debug)]
 struct VideoFile {
     path: PathBuf,
@@ -146,6 +156,7 @@ impl VideoFrames {
         )
     }
 
+    /// A piece that is kept; it becomes the most recent one.
     fn recall(&self, key: Key) -> Option<Arc<Vec<u8>>> {
         let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
         let place = recent.iter().position(|(other, _)| *other == key)?;
@@ -155,6 +166,7 @@ impl VideoFrames {
         Some(bytes)
     }
 
+    /// Keeps a piece, and drops the oldest beyond `PIECES_MAX`.
     fn remember(&self, key: Key, bytes: Arc<Vec<u8>>) -> Arc<Vec<u8>> {
         let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
         while recent.len() >= PIECES_MAX {
@@ -166,6 +178,9 @@ impl VideoFrames {
 }
 
 /// The file's frame that an episode of `len` frames begins with at `from_s`.
+///
+/// The episode's first and last frame must be shown at their times with `len - 1` frames between
+/// them; a file whose rate differs is refused here rather than read out of step.
 #[expect(
     clippy::cast_precision_loss,
     reason = "frame counts stay far below 2^53"

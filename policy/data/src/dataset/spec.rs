@@ -1,4 +1,7 @@
 //! What a dataset is of, read from its description and checked.
+//!
+//! The number of arms is not stated in the format; it follows from the widths of
+//! `observation.state` (7 an arm), `observation.tip_pose` (7) and `action` (8).
 
 use std::path::Path;
 
@@ -24,7 +27,8 @@ pub(super) fn video_features(info: &Info) -> Vec<String> {
 /// What `info.json` calls a feature that is kept as video.
 const VIDEO: &str = "video";
 
-/// The specification that `info`, out of the folder `dir`, amounts to.
+/// The specification that `info`, out of the folder `dir`, amounts to. Cameras come in the order of
+/// `features`.
 pub(super) fn read_spec(dir: &Path, info: &Info) -> Result<DatasetSpec, DatasetError> {
     let path = meta::info_path(dir);
     let arms = read_arms(&path, info)?;
@@ -85,6 +89,8 @@ fn read_arms(path: &Path, info: &Info) -> Result<usize, DatasetError> {
     Ok(*arms.start())
 }
 
+/// A camera's size from its feature's shape, `[height, width, 3]`, or `[3, height, width]` where
+/// the names say that channels come first, as in older datasets. Depth is filled in by the caller.
 pub(super) fn camera_spec(
     path: &Path,
     name: &str,

@@ -1,4 +1,7 @@
 //! Files that are whole or absent: written beside their place, synced, then renamed.
+//!
+//! Every file of a dataset but its videos goes through `replace`; `encoder` does the same for
+//! videos.
 
 use std::{
     fs::{self, File},
@@ -13,6 +16,7 @@ use parquet::{arrow::ArrowWriter, errors::ParquetError, file::properties::Writer
 
 use super::DatasetError;
 
+/// For `map_err`: names the file that was being worked on.
 pub(crate) fn io_error(path: &Path) -> impl FnOnce(std::io::Error) -> DatasetError {
     let path = path.to_owned();
     move |source| DatasetError::Io { path, source }
@@ -64,6 +68,9 @@ pub(crate) fn write_text(path: &Path, text: &str) -> Result<(), DatasetError> {
 }
 
 /// Writes the batches as one row group.
+///
+/// Batches are made one at a time, when the writer wants the next; the row group is buffered
+/// encoded until the file is closed.
 pub(crate) fn write_parquet(
     path: &Path,
     schema: &Arc<Schema>,
@@ -81,6 +88,9 @@ pub(crate) fn write_parquet(
 }
 
 /// Lets `write` fill a file beside `path`, then puts it in the place of `path`.
+///
+/// File and folder are synced, so once this returns the new content survives a power cut. After a
+/// failure the old file is untouched; the partial one stays and is overwritten next time.
 fn replace(
     path: &Path,
     write: impl FnOnce(File) -> Result<File, DatasetError>,
