@@ -5,6 +5,10 @@
 //! the frame of the measured tip (rad), and the jaw angle as it is (rad). Absolute poses would
 //! carry the arm's calibration into the network. Of several arms, each is relative to its own tip
 //! in its own RCM frame, and a step has the arms' numbers one after another.
+//!
+//! With `p` and `R` of tip and target: `dp = p_target - p_tip`, `r = log(R_tip^T R_target)`; back,
+//! `p_target = p_tip + dp`, `R_target = R_tip exp(r)`. All steps of a chunk are relative to the one
+//! observation that the chunk answers, not each to the step before, so errors do not add up.
 
 use hal::{ArmObservation, Chunk, Observation, Pose, TipTarget};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -42,6 +46,8 @@ pub fn pose_from_numbers(numbers: &[f64; 7]) -> Pose {
 }
 
 /// The action that takes the tip from `tip_in_rcm` to `target_in_rcm` with the jaw at `jaw`.
+///
+/// The rotation vector's length is at most a half turn; near that its direction can flip.
 #[must_use]
 pub fn relative_action(
     tip_in_rcm: &Pose,
@@ -75,6 +81,9 @@ pub fn absolute_target(tip_in_rcm: &Pose, action: &[f64; RELATIVE_ACTION_DIM]) -
 
 /// The chunks that relative `actions` mean, one for each arm of `observation`: row-major, a step's
 /// arms one after another.
+///
+/// `actions` is `[steps, arms, 7]`, not normalised; numbers of an incomplete row are ignored. Every
+/// chunk has the stamp of the first arm's state, so that arms stay in step.
 #[must_use]
 pub fn absolute_chunks(
     observation: &Observation<'_>,
@@ -108,6 +117,7 @@ pub fn chunks_of(
     })
 }
 
+/// Splits `[steps, arms, N]` into a chunk an arm; none without an arm.
 fn chunks<const N: usize>(
     observation: &Observation<'_>,
     actions: &[f32],

@@ -1,4 +1,7 @@
 //! One episode: its rows, its videos, and the statistics of both.
+//!
+//! Colour goes frame by frame from the dataset into ffmpeg, so an episode's pictures are never in
+//! memory as a whole; its numbers are one record batch.
 
 use std::sync::Arc;
 
@@ -20,7 +23,8 @@ use crate::dataset::stats::{ColumnStats, ImageStats};
 use crate::dataset::store::{parquet_error, write_parquet};
 use crate::dataset::{ACTION_WIDTH, DatasetError, Episode};
 
-/// Every how many frames an image counts for the statistics.
+/// Every how many frames an image counts for the statistics. Quantiles are not kept, so this only
+/// bounds the error of mean and deviation.
 const IMAGE_STATS_STRIDE: usize = 10;
 
 /// Writes the dataset's episode `episode` as number `index`, of which `first` frames come before.
@@ -49,6 +53,9 @@ pub(super) fn write_episode(
 }
 
 /// The rows of one episode.
+///
+/// `index`, `first` and `task` are numbers of the exported dataset; `episode` is a range of the
+/// source's frames.
 struct Rows<'a> {
     source: &'a Source<'a>,
     episode: Episode,
@@ -59,6 +66,8 @@ struct Rows<'a> {
 
 impl Rows<'_> {
     /// Writes a camera's video.
+    ///
+    /// Returns the statistics of the pictures that went in, not of what the codec made of them.
     fn film(&self, camera: usize) -> Result<ImageStats, DatasetError> {
         let dataset = self.source.dataset;
         let (chunk, index) = (self.index / CHUNK_SIZE, self.index);
@@ -79,6 +88,7 @@ impl Rows<'_> {
         Ok(stats)
     }
 
+    /// One parquet file with a single row group, SNAPPY, as LeRobot 0.3.3 reads it.
     fn write(&self) -> Result<(), DatasetError> {
         let (chunk, index) = (self.index / CHUNK_SIZE, self.index);
         let name = format!("data/chunk-{chunk:03}/episode_{index:06}.parquet");
@@ -115,7 +125,8 @@ impl Rows<'_> {
         columns
     }
 
-    /// Tip pose and jaw of each arm in each frame.
+    /// Tip pose and jaw of each arm in each frame. `[x, y, z, qx, qy, qz, qw, jaw]` an arm,
+    /// row-major.
     fn states(&self) -> Vec<f32> {
         self.numbers(|frame, arm| {
             let dataset = self.source.dataset;
@@ -125,10 +136,13 @@ impl Rows<'_> {
         })
     }
 
+    /// Measured yaw, pitch (rad), insertion (m), roll and wrist joints (rad) of each arm, without
+    /// the jaw.
     fn joints(&self) -> Vec<f32> {
         self.numbers(|frame, arm| self.source.dataset.state(frame, arm)[..JOINT_COUNT].to_vec())
     }
 
+    /// The absolute set-point of each arm, in the order of [`Self::states`].
     fn actions(&self) -> Vec<f32> {
         self.numbers(|frame, arm| self.source.dataset.action(frame, arm).map(single).to_vec())
     }
@@ -150,6 +164,8 @@ impl Rows<'_> {
         (0..self.episode.len).map(time).collect()
     }
 
+    /// The values of one of LeRobot's integer columns; the last, `task_index`, is the same in all
+    /// rows.
     fn indices(&self, name: &str) -> Vec<i64> {
         let value = |step: usize| match name {
             "frame_index" => step,
@@ -162,6 +178,8 @@ impl Rows<'_> {
             .collect()
     }
 
+    /// Adds min, max, mean, standard deviation and count of every column of numbers; texts have
+    /// none.
     fn add_stats(&self, stats: &mut Map<String, Value>) {
         let arms = self.source.dataset.arms();
         let vectors = [
@@ -182,6 +200,7 @@ impl Rows<'_> {
     }
 }
 
+/// Statistics of flat, row-major `values`, `width` a row.
 fn summary(width: usize, values: Vec<f64>) -> Value {
     let mut stats = ColumnStats::new(width);
     stats.extend(values.chunks_exact(width).map(<[f64]>::to_vec));

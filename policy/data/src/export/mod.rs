@@ -19,6 +19,10 @@
 //! Splits are ranges of episodes, so episodes without a disturbance come first, then those that
 //! recover from one; `val` and `test` are the first of them, `train` is the rest. Failures come
 //! last, and are in no split but `failure`.
+//!
+//! Open-H-Embodiment fixes names and folders for each robot; its validator and LeRobot 0.3.3 are
+//! what this is tested against, in `tests/scripts/open_h.py`. The way back is `import_mapped` with
+//! the mapping `open-h-dvrk`.
 
 mod episode;
 mod names;
@@ -58,7 +62,8 @@ pub struct ExportOptions {
     pub dataset: PathBuf,
     /// The folder of a dataset of attempts that failed, which come along as the split `failure`.
     pub failures: Option<PathBuf>,
-    /// The new one's; it must not exist or be empty.
+    /// The new one's; it must not exist or be empty. After an error it holds what was written so
+    /// far, without `info.json`.
     pub out: PathBuf,
     /// What the demonstrations show in words; what the dataset says if not given.
     pub instruction: Option<String>,
@@ -81,9 +86,9 @@ pub struct ExportSummary {
     pub episodes: usize,
     /// Frames in them.
     pub frames: usize,
-    /// Ranges of episodes, by name.
+    /// Ranges of episodes, by name. As `FROM:TO`, the end excluded, in the exported numbering.
     pub splits: std::collections::BTreeMap<String, String>,
-    /// What Open-H-Embodiment advises against.
+    /// What Open-H-Embodiment advises against. The dataset is written all the same.
     pub warnings: Vec<String>,
 }
 
@@ -123,7 +128,8 @@ fn failure_note(notes: &Notes, episode: usize, words: &str) -> Value {
 }
 
 /// The dataset with its notes; if there are failures, they follow as its last episodes, and the
-/// notes say so.
+/// notes say so. Both must have the same arms, rate and cameras, as [`Dataset::open_joined`]
+/// demands.
 fn read(options: &ExportOptions) -> Result<(Dataset, Notes), DatasetError> {
     let mut notes = Notes::read(&options.dataset)?;
     let Some(failures) = &options.failures else {
@@ -214,7 +220,8 @@ fn note_of(notes: &Notes, episode: usize) -> Option<&Value> {
     notes.episodes.iter().find(of_it)
 }
 
-/// The lines of the tables of episodes so far.
+/// The lines of the tables of episodes so far. Kept until the end: two JSON values an episode, a
+/// few kilobytes.
 #[derive(Default)]
 struct Lines {
     episodes: Vec<Value>,
@@ -256,7 +263,8 @@ fn finish(source: &Source<'_>, lines: &Lines) -> Result<ExportSummary, DatasetEr
     })
 }
 
-/// `meta/info.json`, its keys as LeRobot 0.3.3 has them.
+/// `meta/info.json`, its keys as LeRobot 0.3.3 has them. Readers of v2.1 build each path from the
+/// templates `data_path` and `video_path`.
 fn info(source: &Source<'_>, lines: &Lines) -> Value {
     let episodes = lines.episodes.len();
     let features: serde_json::Map<String, Value> = features(source).into_iter().collect();
@@ -277,6 +285,7 @@ fn info(source: &Source<'_>, lines: &Lines) -> Value {
     })
 }
 
+/// Rate and picture size below what Open-H-Embodiment asks for.
 fn warnings(dataset: &Dataset) -> Vec<String> {
     let mut warnings = Vec::new();
     let fps = dataset.fps();

@@ -16,12 +16,13 @@ use crate::dataset::{ACTION_WIDTH, Dataset, DatasetError};
 
 /// The joint positions of all arms, which Open-H-Embodiment's template recommends.
 pub(super) const JOINTS: &str = "observation.state.joint_positions";
-/// Each frame's words.
+/// Each frame's words. A text column; the same words are the episode's LeRobot task.
 pub(super) const INSTRUCTION: &str = "instruction.text";
 /// What the instrument of an arm is called, behind which comes the arm's name.
 pub(super) const TOOL_PREFIX: &str = "observation.meta.tool.";
 
-/// Our cameras and what they are called there; others keep their names.
+/// Our cameras and what they are called there; others keep their names. A single `wrist` camera
+/// belongs to psm1, the right hand's arm.
 const CAMERAS: [(&str, &str); 6] = [
     ("endoscope", "endoscope.left"),
     ("endoscope_left", "endoscope.left"),
@@ -96,6 +97,9 @@ pub(super) fn features(source: &Source<'_>) -> Vec<(String, Value)> {
 }
 
 /// `psm1_pose.position.x` to `psm1_jaw`, then those of psm2.
+///
+/// `pose` and `jaw` are the middle parts: `pose` and `jaw` of states, `sp` and `jaw_sp`
+/// (set-points) of actions.
 fn pose_names(arms: usize, pose: &str, jaw: &str) -> Vec<String> {
     let mut names = Vec::new();
     for arm in ARM_NAMES.iter().take(arms) {
@@ -106,6 +110,7 @@ fn pose_names(arms: usize, pose: &str, jaw: &str) -> Vec<String> {
     names
 }
 
+/// `psm1_yaw` and so on, then those of psm2.
 fn joint_names(arms: usize) -> Vec<String> {
     let arms = ARM_NAMES.iter().take(arms);
     arms.flat_map(|arm| JOINT_NAMES.map(|joint| format!("{arm}_{joint}")))
@@ -113,6 +118,8 @@ fn joint_names(arms: usize) -> Vec<String> {
 }
 
 /// The columns of a data file.
+///
+/// Column for column what [`features`] lists behind the cameras, and what `Rows::columns` fills.
 pub(super) fn schema(arms: usize) -> Arc<Schema> {
     let mut fields = vec![
         vector_field(STATE, DataType::Float32, arms * ACTION_WIDTH),

@@ -6,6 +6,9 @@ use std::ops::Range;
 use super::Source;
 
 /// How the demonstrations came about, in words; what is not known stays to be filled in.
+///
+/// The recorder fills it from its options; of imported data most stays as [`Provenance::default`]
+/// has it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Provenance {
     /// One sentence on the dataset.
@@ -19,6 +22,9 @@ pub struct Provenance {
     /// What the recoveries recover from.
     pub recoveries: String,
     /// What was varied on purpose, by Open-H-Embodiment's names.
+    ///
+    /// Only names of the page's list have an effect: `Camera position / angle`,
+    /// `Lighting conditions`, `Target object`, `Spatial layout`.
     pub varied: Vec<&'static str>,
     /// How.
     pub variation: String,

@@ -9,7 +9,7 @@ use super::note_of;
 use crate::dataset::Notes;
 
 /// The share of episodes without a disturbance that each of `val` and `test` gets, as one of so
-/// many.
+/// many. Rounded down: below ten such episodes nothing is held out.
 const HELD_OUT: usize = 10;
 
 /// The order of the episodes, and where its parts begin.
@@ -23,6 +23,8 @@ pub(super) struct Splits {
 }
 
 impl Splits {
+    /// A stable partition: within each part the dataset's order stays. A failure counts as one even
+    /// if it was disturbed too.
     pub(super) fn of(episodes: usize, notes: &Notes) -> Self {
         let is =
             |episode: &usize, what: fn(&Value) -> bool| note_of(notes, *episode).is_some_and(what);
@@ -43,6 +45,9 @@ impl Splits {
     }
 
     /// Ranges `a:b` by name.
+    ///
+    /// `train` holds the recoveries, `perfect` overlaps `val`, `test` and `train`; empty `recovery`
+    /// and `failure` are left out.
     pub(super) fn ranges(&self) -> BTreeMap<String, String> {
         let (perfect, succeeded, all) = (self.perfect, self.succeeded, self.order.len());
         let held_out = perfect / HELD_OUT;

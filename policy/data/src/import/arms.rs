@@ -1,4 +1,7 @@
 //! The numbers of an episode's arms: checked, and made into what a dataset holds.
+//!
+//! From HDF5 alone; `mapped/arms` does the same for what a mapping describes, where joints may be
+//! missing. Here joints are always given and poses follow from them.
 
 use hal::joints::JOINT_NAMES;
 use hal::psm::{DhRow, JAW_MAX, JAW_MIN, POSITION_MAX, POSITION_MIN};
@@ -10,7 +13,8 @@ use super::file::{Numbers, Recording};
 use super::names::{Action, Names};
 use crate::dataset::{ACTION_WIDTH, ArmFrame, STATE_WIDTH};
 
-/// A recording's noise at a limit, rad (m).
+/// A recording's noise at a limit, rad (m). Degrees or a normalised gripper exceed the limits by
+/// far more.
 const SLACK: f64 = 0.02;
 /// How far from its RCM a tip can be on any axis, m.
 const REACH_M: f64 = 1.0;
@@ -20,6 +24,7 @@ const UNIT_TOLERANCE: f64 = 1e-3;
 /// The arms' numbers of one episode.
 #[derive(Debug)]
 pub(super) struct Arms {
+    /// One or two.
     pub(super) count: usize,
     pub(super) steps: usize,
     /// The arms of a step, step after step.
@@ -28,6 +33,9 @@ pub(super) struct Arms {
 
 impl Arms {
     /// Reads and checks them.
+    ///
+    /// Each arm's quaternions keep their sign from step to step, of measured and of commanded poses
+    /// separately.
     pub(super) fn read(
         recording: &Recording,
         names: &Names,
@@ -71,12 +79,13 @@ impl Arms {
         })
     }
 
-    /// The arms of each step.
+    /// The arms of each step. psm1 first, then psm2.
     pub(super) fn by_step(&self) -> impl Iterator<Item = &[ArmFrame]> {
         self.frames.chunks_exact(self.count)
     }
 }
 
+/// A row of `action`: pose, then jaw (rad).
 fn with_jaw(pose: [f64; 7], jaw: f64) -> [f64; ACTION_WIDTH] {
     let [x, y, z, i, j, k, w] = pose;
     [x, y, z, i, j, k, w, jaw]
@@ -91,6 +100,8 @@ const fn single(value: f64) -> f32 {
 }
 
 /// `width` numbers for each of one or two arms.
+///
+/// The number of arms follows from the width; 7 or 8 numbers an arm never leave two readings.
 fn of_arms(recording: &Recording, name: &str, width: usize) -> Result<Numbers, ImportError> {
     let numbers = recording.numbers(name)?;
     if (1..=ARM_NAMES.len()).any(|arms| numbers.width == arms * width) {
@@ -136,6 +147,9 @@ pub const fn robot_type(arms: usize) -> &'static str {
 }
 
 /// Commanded tip poses and jaws.
+///
+/// Quaternions must be of unit length and positions within a metre, which catches millimetres and
+/// most deltas.
 fn poses_of(recording: &Recording, name: &str) -> Result<Numbers, ImportError> {
     let numbers = of_arms(recording, name, ACTION_WIDTH)?;
     for (index, row) in numbers.values.chunks_exact(ACTION_WIDTH).enumerate() {

@@ -1,4 +1,7 @@
 //! Where the tip is: the product of an arm's Denavit-Hartenberg rows, whichever arm it is.
+//!
+//! Modified Denavit-Hartenberg (Craig): `T = Rx(alpha) Tx(a) Rz(theta) Tz(d)` a row, where the
+//! joint's value is added to `theta`, or to `d` if it slides.
 
 use std::path::Path;
 
@@ -50,6 +53,9 @@ pub fn read_chain(path: &Path) -> Result<[DhRow; JOINT_COUNT], ImportError> {
 }
 
 /// The tip's pose in the RCM frame at `joints` (rad, insertion m).
+///
+/// Rotation and position are accumulated separately; the last factor is the fixed rotation from the
+/// wrist-yaw frame to the tip frame.
 pub(super) fn tip_in_rcm(chain: &[DhRow; JOINT_COUNT], joints: &[f64]) -> Pose {
     let mut rotation = Matrix3::identity();
     let mut position_m = Vector3::zeros();
@@ -78,8 +84,12 @@ pub(super) fn tip_in_rcm(chain: &[DhRow; JOINT_COUNT], joints: &[f64]) -> Pose {
 
 /// Poses as datasets have them. Of a turn's two quaternions each has the one that is nearer to the
 /// one before; the first has its greatest number positive.
+///
+/// `q` and `-q` are the same rotation, and a network that regresses one of them must not see the
+/// sign flip within an episode.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PoseNumbers {
+    /// The quaternion x, y, z, w of the step before; none in the first.
     before: Option<[f64; 4]>,
 }
 

@@ -1,4 +1,7 @@
 //! An HDF5 file: what is in it, and its tables of numbers.
+//!
+//! All files are foreign and may be damaged: extents, chunks and readings are bounded before the
+//! library allocates, and its errors keep their text. Names are paths within the episode.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -29,6 +32,7 @@ const EXPANSION_MAX: u64 = 1032;
 /// An open file, and where in it an episode is.
 pub(super) struct Recording {
     file: Hdf5File,
+    /// The file's size, which bounds what any dataset in it can claim.
     size_bytes: u64,
     /// The file, and the episode within it, for messages.
     pub(super) place: String,
@@ -47,13 +51,14 @@ impl ExternalLinkResolver for NotFollowed {
     }
 }
 
-/// A table of numbers, row after row.
+/// A table of numbers, row after row. Finite; row-major `[steps, width]`.
 pub(super) struct Numbers {
     pub(super) values: Vec<f64>,
     pub(super) width: usize,
 }
 
 impl Numbers {
+    /// Rows; `width` is at least 1 by [`Recording::numbers`].
     pub(super) fn steps(&self) -> usize {
         self.values.len() / self.width
     }
@@ -144,6 +149,9 @@ impl Recording {
     }
 
     /// Refuses a `dataset` of which `steps` read at once are in more pieces than fit into memory.
+    ///
+    /// The first axis counts steps; the others are read whole. Contiguous datasets have no chunks
+    /// and pass.
     pub(super) fn check_chunks(
         &self,
         name: &str,
@@ -175,6 +183,9 @@ impl Recording {
     }
 
     /// The dataset `name`, (steps, numbers) and finite.
+    ///
+    /// Of any float of 32 or 64 bits and any integer of up to 32, all exact in `f64`; 64-bit
+    /// integers are refused.
     pub(super) fn numbers(&self, name: &str) -> Result<Numbers, ImportError> {
         let dataset = self.dataset(name)?;
         let width = match dataset.shape() {
@@ -268,6 +279,7 @@ fn size_of(path: &Path) -> Result<u64, ImportError> {
     })
 }
 
+/// The whole dataset, widened; `T` must be the stored type.
 fn all<T: H5Type + Copy + Into<f64>>(dataset: &Dataset) -> Result<Vec<f64>, Error> {
     let values = dataset.read_array::<T>()?;
     Ok(values.iter().map(|&value| value.into()).collect())

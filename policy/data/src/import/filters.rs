@@ -1,4 +1,7 @@
 //! What chunks went through when they were stored, and how LZF, which the library lacks, is undone.
+//!
+//! A chunk in HDF5 goes through a pipeline of filters, each with a registered number; reading
+//! undoes them in reverse order.
 
 use hdf5_reader::FilterRegistry;
 use hdf5_reader::error::Error;
@@ -11,7 +14,7 @@ use super::lzf;
 /// Bytes that a chunk may have, unpacked.
 pub(super) const CHUNK_MAX: usize = 256 << 20;
 
-/// What h5py's LZF is registered as.
+/// What h5py's LZF is registered as. In the HDF Group's list of registered filters.
 const FILTER_LZF: u16 = 32_000;
 
 /// The library's filters and LZF.

@@ -14,7 +14,8 @@ use nalgebra::{Matrix3, Vector3};
 
 /// What rounding, calibration and noise may add at a limit, rad (m).
 pub(super) const SLACK: f64 = 0.02;
-/// Closer to the RCM the first joints have no direction, m.
+/// Closer to the RCM the first joints have no direction, m. Beyond it rounding and noise are small
+/// against the distance.
 const WRIST_DISTANCE_MIN_M: f64 = 1e-3;
 
 /// Why the arm can't be there.
@@ -46,6 +47,10 @@ impl std::fmt::Display for OutOfReach {
 
 /// The joints (rad, insertion m) that put the tip at `tip_in_rcm`, with the roll's full turn
 /// nearest to `near_roll` (rad).
+///
+/// For the dVRK's patient-side manipulator with a Large Needle Driver only; other chains are not
+/// solved here. Of the two poses of the wrist it takes the one whose link points away from the RCM.
+/// Costs a few trigonometric functions and does not iterate.
 ///
 /// # Errors
 /// [`OutOfReach`] if there are none within the arm's limits and [`SLACK`].
@@ -88,7 +93,7 @@ pub(super) fn joints_at(
     within_limits(joints)
 }
 
-/// Direction and length of `vector` from the RCM.
+/// Direction and length of `vector` from the RCM. Fails closer than [`WRIST_DISTANCE_MIN_M`].
 fn direction(vector: Vector3<f64>) -> Result<(Vector3<f64>, f64), OutOfReach> {
     let length = vector.norm();
     if length < WRIST_DISTANCE_MIN_M {
@@ -106,6 +111,7 @@ fn unwind(roll: &mut f64) {
     }
 }
 
+/// The joints, or the first that is beyond its limits.
 fn within_limits(joints: [f64; JOINT_COUNT]) -> Result<[f64; JOINT_COUNT], OutOfReach> {
     let outside = |&joint: &usize| {
         let limits = POSITION_MIN[joint] - SLACK..=POSITION_MAX[joint] + SLACK;

@@ -3,6 +3,9 @@
 //! A control byte below 32 is followed by that many bytes and one more, as they are. Any other
 //! names a stretch of what is already there: its upper three bits the length less 2 (7: a byte
 //! follows that adds to it), its lower five and the next byte how far back it begins, less 1.
+//!
+//! Lengths are stored less a constant because shorter stretches would not pay. The format has no
+//! checksum and no length: the caller knows how much must come out.
 
 /// The decompressed bytes, at most `most`; `None` if `packed` is damaged or holds more.
 pub(super) fn decompress(packed: &[u8], most: usize) -> Option<Vec<u8>> {
@@ -27,6 +30,9 @@ pub(super) fn decompress(packed: &[u8], most: usize) -> Option<Vec<u8>> {
 }
 
 /// Appends a stretch of `out` again, as `control` and what follows it say; what follows after that.
+///
+/// Distances of up to 8192 bytes and lengths of 3 to 264. None if the stretch begins before the
+/// output does.
 fn repeat<'a>(control: usize, mut rest: &'a [u8], out: &mut Vec<u8>) -> Option<&'a [u8]> {
     let mut length = (control >> 5) + 2;
     if length == 9 {

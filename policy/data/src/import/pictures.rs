@@ -1,4 +1,7 @@
 //! The frames of one camera in one episode, a few at a time.
+//!
+//! Frames of one chunk are unpacked together, and frames are asked for in order, so that each chunk
+//! is unpacked once. Memory is one window of at most `READ_MAX` bytes a camera.
 
 use std::io::Cursor;
 
@@ -29,11 +32,15 @@ pub(super) struct CameraFrames<'a> {
     /// Width and height, unless it takes a decoded frame to know.
     stored: Option<(u32, u32)>,
     form: Form,
+    /// Bytes of a step as stored: a frame, or a padded JPEG.
     row_bytes: usize,
     /// Steps that are read together: those of one chunk, which are unpacked together.
     window_steps: usize,
+    /// The first step in `window`.
     window_start: usize,
+    /// Stored bytes of the steps that were read last.
     window: Vec<u8>,
+    /// RGB of the last frame, where it is not stored as such.
     decoded: Vec<u8>,
 }
 
@@ -158,6 +165,7 @@ impl<'a> CameraFrames<'a> {
         Ok(&self.decoded)
     }
 
+    /// The JPEG of a step as RGB; padding behind its end is ignored by the decoder.
     fn decode(&mut self, step: usize) -> Result<image::RgbImage, ImportError> {
         let (place, name) = (self.recording.place.clone(), self.name.to_owned());
         let mut limits = Limits::default();

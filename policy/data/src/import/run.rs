@@ -24,6 +24,7 @@ pub struct ImportSummary {
 }
 
 impl ImportOptions {
+    /// Channels are swapped for ACT's layout alone, and there only in JPEG.
     fn form(&self) -> Form {
         Form {
             swapped: self.layout == Layout::Act,
@@ -133,6 +134,8 @@ fn camera_specs(
     Ok(found)
 }
 
+/// Writes one episode. Its numbers are read a second time: keeping those of all episodes would take
+/// more memory than reading costs time.
 fn copy(
     recording: &Recording,
     options: &ImportOptions,

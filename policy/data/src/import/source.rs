@@ -44,6 +44,7 @@ fn numbered(name: &str, before: &str, after: &str) -> Option<u64> {
     digits.parse().ok().filter(|_| plain)
 }
 
+/// ACT's files in a folder, in order of their numbers; other names are ignored.
 fn files(options: &ImportOptions) -> Result<Vec<EpisodeAt>, ImportError> {
     let io_error = |source| ImportError::Io {
         path: options.source.clone(),
@@ -62,6 +63,8 @@ fn files(options: &ImportOptions) -> Result<Vec<EpisodeAt>, ImportError> {
     Ok(found.into_iter().map(at).collect())
 }
 
+/// robomimic's groups, in order of their numbers and not of their names, where `demo_10` would come
+/// before `demo_2`.
 fn groups(options: &ImportOptions) -> Result<Vec<EpisodeAt>, ImportError> {
     let whole = Recording::open(&options.source, None)?;
     let names = whole.members("data")?.unwrap_or_default();
@@ -77,7 +80,8 @@ fn groups(options: &ImportOptions) -> Result<Vec<EpisodeAt>, ImportError> {
     Ok(found.into_iter().map(at).collect())
 }
 
-/// The cameras of an episode: their names, and where their frames are.
+/// The cameras of an episode: their names, and where their frames are. A given path names its
+/// camera by its last part, without robomimic's ending `_image`.
 pub(super) fn cameras(
     recording: &Recording,
     options: &ImportOptions,

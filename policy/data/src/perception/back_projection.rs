@@ -59,6 +59,9 @@ impl CropBox {
 /// The points of every pixel that shows one of `instances`, has a finite positive depth and lies in
 /// `crop`.
 ///
+/// Ids and depth are asked first, the box last. O(pixels); allocates the list of points alone,
+/// besides a ray for each row and column.
+///
 /// # Errors
 /// [`PerceptionError`] if a frame is not whole, the box has no inside, or no point is left.
 pub fn back_project(
@@ -95,6 +98,8 @@ fn in_first(index: usize, first: &FrameRef<'_>, frame: &FrameRef<'_>) -> Pose {
     first.camera_in_scene.inverse() * frame.camera_in_scene
 }
 
+/// Planes of the image's size, focal lengths above 0, centre and pose finite. Single depths may be
+/// anything: they are left out where they are no depth.
 fn check(index: usize, frame: &FrameRef<'_>) -> Result<(), PerceptionError> {
     let lens = &frame.intrinsics;
     let expected = lens.pixel_count();
@@ -141,9 +146,13 @@ fn check(index: usize, frame: &FrameRef<'_>) -> Result<(), PerceptionError> {
 struct View {
     /// The lens, if it distorts: then no row or column has a ray of its own.
     bent: Option<Intrinsics>,
+    /// `a` of each column, for a pinhole.
     across: Vec<f32>,
+    /// `b` of each row, for a pinhole.
     down: Vec<f32>,
+    /// Rows of the matrix that turns camera axes into the cloud's.
     rotation: [Point; 3],
+    /// The camera's centre in the cloud's frame, m.
     translation: Point,
 }
 

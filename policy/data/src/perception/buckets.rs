@@ -20,7 +20,9 @@ const BUCKETS_MAX: usize = 1024;
 /// Distances are computed for so many points at a time.
 const LANES: usize = 8;
 
+/// Coordinates are kept by axis, so that distances of eight points are computed side by side.
 pub(super) struct Buckets {
+    /// x, y and z of all points, bucket after bucket, m.
     axes: [Vec<f32>; 3],
     /// Squared distance of every point to the nearest taken one, m².
     nearest: Vec<f32>,
@@ -29,8 +31,11 @@ pub(super) struct Buckets {
     buckets: Vec<Bucket>,
 }
 
+/// A run of points that lie in one cell of the grid; at least one.
 #[derive(Clone, Copy)]
 struct Bucket {
+    /// Its points are `start..end` of the sorted ones; `min` and `max` bound them, m, tighter than
+    /// the cell does.
     start: usize,
     end: usize,
     min: Point,
@@ -40,6 +45,7 @@ struct Bucket {
 }
 
 impl Buckets {
+    /// A counting sort into the cells: O(points + cells).
     pub(super) fn new(points: &[Point]) -> Result<Self, PerceptionError> {
         let grid = Grid::around(points)?;
         let cells: Vec<u32> = points.iter().map(|point| grid.cell(point)).collect();
@@ -138,6 +144,7 @@ impl Bucket {
     }
 }
 
+/// The one order of operations in which every squared distance is computed, m².
 fn squared(x: f32, y: f32, z: f32) -> f32 {
     (x * x + y * y) + z * z
 }
@@ -183,11 +190,14 @@ fn greater(a: f32, b: f32) -> f32 {
 /// A grid over the points' bounding box.
 struct Grid {
     min: Point,
+    /// Cells a metre; 0 puts all points into one cell.
     per_m: f32,
     counts: [usize; 3],
 }
 
 impl Grid {
+    /// A grid with about as many occupied cells as buckets are wanted, if the points lie on a
+    /// surface, as those of a depth image do.
     #[expect(
         clippy::cast_precision_loss,
         clippy::cast_possible_truncation,

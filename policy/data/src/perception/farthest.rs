@@ -14,6 +14,8 @@ use super::error::PerceptionError;
 ///
 /// When every point is taken that differs from the others, the rest is index 0 again, the first of
 /// all that are at distance zero. Squared distances are `(dx² + dy²) + dz²` in single precision.
+/// The plain algorithm is O(points * count); here a round costs the buckets and the points of those
+/// near the new sample. Any prefix of the result is the result for a smaller `count`.
 ///
 /// # Errors
 /// [`PerceptionError`] if there is no point, one is not finite, or `count` is 0.

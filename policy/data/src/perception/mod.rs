@@ -38,7 +38,8 @@ pub type Point = [f32; 3];
 /// Where all points of a cloud are that shows nothing: the origin of its frame.
 const NOWHERE: Point = [0.0; 3];
 
-/// Whether `cloud` is what [`point_cloud`] gives when nothing wanted is in view.
+/// Whether `cloud` is what [`point_cloud`] gives when nothing wanted is in view. True of an empty
+/// one too.
 #[must_use]
 pub fn shows_nothing(cloud: &[Point]) -> bool {
     cloud.iter().all(|point| *point == NOWHERE)
@@ -56,7 +57,8 @@ pub enum Padding {
     Origin,
 }
 
-/// How frames become the cloud that a network sees.
+/// How frames become the cloud that a network sees. A checkpoint's [`CloudRecipe`] makes them;
+/// tests and tools fill them in directly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CloudOptions {
     /// The frame in which the points are, and the box.
@@ -107,6 +109,9 @@ pub fn point_cloud(
 }
 
 /// As many of `kept` as `options` wants, the farthest first, padded where they are too few.
+///
+/// Thinned points beyond the wanted number are dropped; with too few, sampling itself repeats the
+/// first.
 fn resized(kept: &[Point], options: &CloudOptions) -> Result<Vec<Point>, PerceptionError> {
     let chosen = farthest_points(kept, options.points)?;
     let mut cloud: Vec<Point> = chosen.iter().map(|&index| kept[index]).collect();

@@ -18,7 +18,8 @@ pub struct CloudRecipe {
     /// Lower and upper corner of the box outside of which points are dropped, m; no box drops
     /// nothing.
     pub crop_m: Option<[Point; 2]>,
-    /// Instance ids that are dropped: background, ground, what hides the rest.
+    /// Instance ids that are dropped: background, ground, what hides the rest. Ids as the frames'
+    /// instance planes have them.
     pub dropped_instances: Vec<u8>,
     /// Side of the cubes of which each keeps its first point, m.
     pub voxel_m: Option<f32>,

@@ -12,7 +12,8 @@ const FREE: u32 = u32::MAX;
 /// of `points`.
 ///
 /// Published code keeps a random point of each cube in training; the first one needs no seed and is
-/// the same every time. Coordinates of 2^31 cubes and more count as one cube.
+/// the same every time. Coordinates of 2^31 cubes and more count as one cube. O(points), with an
+/// open-addressing table.
 ///
 /// # Errors
 /// [`PerceptionError::Voxel`] if `side_m` is no length.
@@ -59,6 +60,7 @@ fn free_place(table: &[u32], cubes: &[[i32; 3]], cube: [i32; 3]) -> Option<usize
     }
 }
 
+/// `floor(coordinate / side_m)`, which saturates at the ends of `i32`.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_precision_loss,

@@ -1,5 +1,9 @@
 //! The numbers of an episode's arms by a mapping: checked, brought to metres, radians and the arm's
 //! RCM frame.
+//!
+//! Order of work in a step: the jaw, the measured pose into the RCM frame, joints as given or from
+//! the pose by inverse kinematics, the command, and the check that the two belong together. Nothing
+//! is clipped or repaired: the first number that can't be right ends the import.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +19,7 @@ use super::mapping::{ArmMapping, Columns, Frame, Mapping, QuaternionOrder};
 use super::recordings::{Numbers, Recordings};
 use crate::dataset::ArmFrame;
 
-/// By how much the length of a quaternion may differ from 1.
+/// By how much the length of a quaternion may differ from 1. What is within it is normalised.
 const UNIT_TOLERANCE: f64 = 1e-3;
 /// How far a commanded tip can be from the measured one, m: beyond, it is no absolute command of
 /// this arm.
@@ -84,6 +88,8 @@ pub(super) fn arms_of(
 }
 
 /// Whether an episode has any of the numbers of an arm.
+///
+/// Any one of them: an arm of which some are missing is then refused rather than left out.
 fn is_there(
     recordings: &mut dyn Recordings,
     episode: usize,
@@ -104,7 +110,8 @@ fn is_there(
     Ok(false)
 }
 
-/// The parts of an arm by the mapping's key, row after row, in the mapping's order.
+/// The parts of an arm by the mapping's key, row after row, in the mapping's order. The value is
+/// the width of a row and the row-major numbers, in the source's units.
 struct Parts(BTreeMap<&'static str, (usize, Vec<f64>)>);
 
 impl Parts {
@@ -142,6 +149,9 @@ impl Parts {
 }
 
 /// Indices of `columns` in the numbers of their feature.
+///
+/// Names win where they are given; otherwise indices; otherwise all numbers, of which there must
+/// then be `width`.
 fn chosen(
     place: &str,
     key: &str,
@@ -186,8 +196,12 @@ fn chosen(
 /// What goes over from step to step.
 #[derive(Default)]
 struct Following {
+    /// Signs of the measured quaternions.
     seen: PoseNumbers,
+    /// Signs of the commanded ones.
     wanted: PoseNumbers,
+    /// The last roll (rad), so that the inverse kinematics stays on the same turn; 0 in the first
+    /// step.
     roll: f64,
 }
 
@@ -197,11 +211,15 @@ struct ArmReader<'a> {
     /// From 1.
     number: usize,
     mapping: &'a Mapping,
+    /// Takes poses of the source's frame into the RCM frame; none if they are in it.
     rcm_from_source: Option<Pose>,
+    /// The arm's numbers of the whole episode.
     parts: Parts,
 }
 
 impl ArmReader<'_> {
+    /// One step of the arm, in m and rad. Given joints are kept even where a pose is given too; the
+    /// two are not compared.
     fn frame(&self, step: usize, following: &mut Following) -> Result<ArmFrame, ImportError> {
         let jaw = self.jaw("jaw", step)?;
         let pose = self.pose(["tip_position", "tip_orientation"], step)?;
@@ -242,6 +260,9 @@ impl ArmReader<'_> {
     }
 
     /// A pose in the RCM frame, of the wrist-yaw axis.
+    ///
+    /// `rcm_from_source * tip_in_source`, moved back by `tip_beyond_wrist_m` along its own z; none
+    /// if the mapping has no such part.
     fn pose(
         &self,
         [position, orientation]: [&str; 2],
@@ -312,6 +333,7 @@ impl ArmReader<'_> {
         Ok(jaw)
     }
 
+    /// Within the limits and [`SLACK`], in rad or m.
     fn check_limits(
         &self,
         key: &str,
@@ -379,6 +401,7 @@ impl ArmReader<'_> {
     }
 }
 
+/// A frame of the mapping as a pose; the quaternion is normalised.
 fn pose_of(frame: &Frame) -> Pose {
     let [x, y, z] = frame.position_m;
     let [i, j, k, w] = frame.orientation_xyzw;

@@ -1,4 +1,6 @@
 //! Tables of numbers as text: a line of names, then a line of numbers a row.
+//!
+//! Not a general reader: no quoted commas, no escaped line ends, which such recordings do not have.
 
 use std::path::Path;
 
@@ -7,7 +9,7 @@ use hal::files;
 use super::super::ImportError;
 use super::recordings::Numbers;
 
-/// Bytes that a table may have.
+/// Bytes that a table may have. The text is read whole.
 const SIZE_MAX: u64 = 1 << 30;
 
 /// Reads the table at `path`; columns that hold no numbers are NaN, which is refused where one is

@@ -16,8 +16,10 @@ const SPACING_TOLERANCE: f64 = 0.2;
 /// Times above this are of a clock, not of an episode, and as `f32` they say nothing, s.
 const CLOCK_S: f64 = 1e6;
 
+/// Numbers, texts and frames come from [`Foreign`]; this adds what an import checks of them.
 pub(super) struct LerobotRecordings {
     dataset: Foreign,
+    /// The text feature with each frame's words, if the mapping names one and the dataset has it.
     instruction: Option<String>,
 }
 

@@ -1,5 +1,7 @@
 //! The table of names: which numbers of a foreign dataset are an arm's poses, jaw and commands, and
 //! in which units.
+//!
+//! TOML; unknown keys are refused, so a misspelt one is not taken for an optional part left out.
 
 use hal::config::{ConfigError, Source};
 use hal::psm::DEGREE;
@@ -80,6 +82,7 @@ pub enum QuaternionOrder {
 }
 
 /// Some numbers of a feature: by their names there, by their indices from 0, or all of them.
+/// Columns with neither names nor indices mean every number of the feature.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Columns {
@@ -104,6 +107,9 @@ pub struct Frame {
 }
 
 /// One arm: its poses or its joints, its jaw, and what was commanded.
+///
+/// Measured: `tip_position` with `tip_orientation`, `joints`, or both. Commanded: `action_position`
+/// with `action_orientation`, or `action_joints`, not both.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ArmMapping {
@@ -157,7 +163,8 @@ pub struct Mapping {
     pub angle_unit: AngleUnit,
     /// Order of quaternions.
     pub quaternion: QuaternionOrder,
-    /// From the wrist-yaw axis to the tip that the poses are of, along the tip frame's z, m.
+    /// From the wrist-yaw axis to the tip that the poses are of, along the tip frame's z, m. 0
+    /// where poses are of the wrist-yaw axis, the dVRK's control point; within ±0.1.
     pub tip_beyond_wrist_m: f64,
     /// The feature with each frame's words; the episode's task if not given.
     pub instruction: Option<String>,

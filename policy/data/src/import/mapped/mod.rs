@@ -5,6 +5,10 @@
 //! frame. Joints that the source lacks are computed from the poses by the arm's inverse kinematics,
 //! so that a pose that the arm can't take is found. All numbers of all episodes are looked at
 //! before the first is written.
+//!
+//! Two passes: the survey reads every episode's numbers, words and label and checks them; then they
+//! are read again, with the pictures, and written. Twice the reading of numbers buys that a bad
+//! step in the last episode does not leave half a dataset.
 
 mod arms;
 mod csv;
@@ -133,6 +137,8 @@ pub fn import_mapped(
     })
 }
 
+/// The source by its format, and those of the mapping's cameras that it has, which index its
+/// frames.
 fn open(request: &ImportRequest) -> Result<(Box<dyn Recordings>, Vec<CameraMapping>), ImportError> {
     match request.mapping.format {
         Format::Lerobot if request.fps.is_some() => Err(ImportError::Options(
@@ -153,8 +159,10 @@ fn open(request: &ImportRequest) -> Result<(Box<dyn Recordings>, Vec<CameraMappi
 struct Survey {
     /// Those that are wanted.
     episodes: Vec<usize>,
+    /// Those of the first wanted episode; all others must have as many.
     arms: Vec<ArmMapping>,
     recoveries: usize,
+    /// Each once, in the order in which they first occur.
     instructions: Vec<String>,
 }
 
@@ -309,6 +317,7 @@ fn images_of(
     Ok(images)
 }
 
+/// Pushes all steps of an episode; the caller ends it with its note.
 fn copy(
     request: &ImportRequest,
     survey: &Survey,
@@ -331,6 +340,8 @@ fn copy(
 }
 
 /// `image`, brought to a size if one is wanted.
+///
+/// Bilinear over the area that shrinks into a pixel, without regard to the ratio of the sides.
 fn sized(image: RgbImage, size: Option<(u32, u32)>) -> RgbImage {
     match size.filter(|&size| size != image.dimensions()) {
         Some((width, height)) => imageops::resize(&image, width, height, FilterType::Triangle),

@@ -26,9 +26,11 @@ pub(super) const TABLE: &str = "ee_csv.csv";
 const TIME: &str = "timestamp";
 /// Folders from the one that is given down to an episode.
 const DEPTH_MAX: usize = 3;
-/// Rows or images that one may have more than the other, as recorders leave them.
+/// Rows or images that one may have more than the other, as recorders leave them. The surplus at
+/// the end is cut off; frames are matched to rows by their number.
 const SURPLUS_MAX: usize = 10;
-/// By how much an episode's rate may differ from the first's.
+/// By how much an episode's rate may differ from the first's. Relative. Frames are not resampled:
+/// the dataset says one rate for all.
 const RATE_TOLERANCE: f64 = 0.1;
 /// Frames' time that may pass between two of them.
 const GAP_MAX_FRAMES: f64 = 5.0;
@@ -37,6 +39,7 @@ const RECOVERY: &str = "_recovery";
 /// Bytes that an image file may have.
 const IMAGE_BYTES_MAX: u64 = 64 << 20;
 
+/// The episodes' folders in order of their names; one episode's table is in memory at a time.
 pub(super) struct RawRecordings {
     folders: Vec<PathBuf>,
     cameras: Vec<CameraMapping>,
@@ -261,6 +264,9 @@ impl Recordings for RawRecordings {
 }
 
 /// Frames a second by the median of the times between them.
+///
+/// The median, since a few late frames must not change the rate. Times must increase, and no gap
+/// may be longer than `GAP_MAX_FRAMES` such medians.
 fn rate_of(table: &Numbers, place: &str) -> Result<f64, ImportError> {
     let Some(column) = table.names.iter().position(|name| name == TIME) else {
         return Err(ImportError::Missing {
