@@ -1,4 +1,5 @@
-//! The SHA-256 of texts and files.
+//! The SHA-256 of texts and files. Texts are configurations and scenes, files are executables, logs
+//! and weights: a run's provenance and a study's addresses are made of these.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -6,6 +7,7 @@ use std::path::Path;
 use hal::files;
 use sha2::{Digest, Sha256};
 
+/// 64 lower-case digits.
 pub(crate) fn hexadecimal(hash: Sha256) -> String {
     format!("{:x}", hash.finalize())
 }
@@ -18,7 +20,7 @@ pub fn hash_text(text: &str) -> String {
     hexadecimal(hash)
 }
 
-/// SHA-256 of the file at `path`, hexadecimal.
+/// SHA-256 of the file at `path`, hexadecimal. It is read in pieces of 1 MiB, whatever its size.
 ///
 /// # Errors
 /// The system's, and for a device, a pipe or a socket.

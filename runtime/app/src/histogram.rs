@@ -2,12 +2,16 @@
 //! percentiles.
 //!
 //! Buckets are exact below 64 ns and at most 1/32 (3.2 %) wide above, over all of `u64`.
+//!
+//! A value's bucket is its octave and the five bits behind its leading one, as in HdrHistogram: one
+//! `leading_zeros` and a shift, whatever the value.
 
 /// Sub-buckets an octave.
 const SUB_BITS: u32 = 5;
 const SUB_COUNT: usize = 1 << SUB_BITS;
 /// Values below this have a bucket each.
 const EXACT: usize = 2 * SUB_COUNT;
+/// Of all of `u64`: 1920, which is 15 kB of counts.
 const BUCKETS: usize = EXACT + (u64::BITS - SUB_BITS - 1) as usize * SUB_COUNT;
 
 /// Durations, ns. Recording takes constant time and no memory.
@@ -166,6 +170,7 @@ mod tests {
         }
     }
 
+    /// &Looks through all buckets.
     #[test]
     fn percentiles_of_a_ramp_are_within_a_bucket() {
         let mut histogram = Histogram::new();

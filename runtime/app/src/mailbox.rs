@@ -12,11 +12,14 @@ use std::sync::{Arc, Mutex, TryLockError};
 
 /// Set beside the number of the slot in between when the reader has not taken it yet.
 const FRESH: usize = 4;
+/// The bits of the slot's number, 0 to 2.
 const SLOT: usize = 3;
 
+/// What both ends hold.
 #[derive(Debug)]
 struct Shared<T> {
     slots: [Mutex<Option<T>>; 3],
+    /// The number of the slot that neither end owns, with `FRESH` beside it.
     between: AtomicUsize,
 }
 

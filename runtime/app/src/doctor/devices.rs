@@ -15,6 +15,8 @@ const SHARED_MEMORY_LEAST_BYTES: u64 = 32 << 20;
 /// Hardware type of CAN interfaces in sysfs.
 const ARPHRD_CAN: &str = "280";
 
+/// Room on `/dev/shm`, in which topics live: enough for one arm with two cameras is well, for one
+/// camera limited.
 pub(super) fn shared_memory() -> Finding {
     let name = "shared memory";
     let remedy = "make /dev/shm larger (containers: --shm-size=512m) and remove stale files there";
@@ -44,6 +46,8 @@ pub(super) fn shared_memory() -> Finding {
 pub(crate) const NO_CAN_REMEDY: &str =
     "load the modules can, can_raw and vcan; without kernel support use the simulated arm";
 
+/// Whether the kernel has CAN sockets, and which interfaces there are. A socket is opened for that
+/// on no interface of its own, and nothing is sent.
 pub(super) fn can() -> Finding {
     let interfaces = can_interfaces(Path::new("/sys/class/net"));
     // Index 0 stands for all interfaces, so this asks only whether the kernel knows CAN.
@@ -86,11 +90,13 @@ fn can_interfaces(net: &Path) -> Vec<String> {
     names
 }
 
+/// The device that the renderer opens, as the caller's probe names it.
 pub(super) fn graphics(probe: Probe<'_>) -> Finding {
     let remedy = "install a Vulkan driver (Debian, in software: mesa-vulkan-drivers libvulkan1)";
     of_probe("graphics", probe, remedy)
 }
 
+/// Version and accelerators of libtorch, as the caller's probe names them.
 pub(super) fn networks(probe: Probe<'_>) -> Finding {
     of_probe(
         "networks",
@@ -99,6 +105,7 @@ pub(super) fn networks(probe: Probe<'_>) -> Finding {
     )
 }
 
+/// A probe that answers is well, whatever it says: a device in software is one.
 fn of_probe(name: &'static str, probe: Probe<'_>, remedy: &str) -> Finding {
     match probe() {
         Ok(detail) => Finding::new(name, Status::Ok, detail, remedy),

@@ -1,4 +1,8 @@
 //! `trocar doctor`: what this machine offers, what that means for a run, and what would help.
+//!
+//! `realtime` asks the kernel, `devices` what else a run opens; graphics and networks are probes of
+//! the caller's, so that the library needs neither to answer. Nothing is changed on the machine: a
+//! lock or a scheduling class that is tried goes with its thread or at once.
 
 mod devices;
 
@@ -45,6 +49,7 @@ pub struct Finding {
 }
 
 impl Finding {
+    /// &A remedy of what is well is dropped.
     fn new(name: &'static str, status: Status, detail: impl Into<String>, remedy: &str) -> Self {
         let remedy = if status == Status::Ok {
             String::new()
@@ -104,7 +109,7 @@ pub fn examine(probes: &Probes<'_>) -> Vec<Finding> {
     ]
 }
 
-/// All findings as a table for people.
+/// All findings as a table for people. One line each, and under it what would help.
 #[must_use]
 pub fn table(findings: &[Finding]) -> String {
     findings

@@ -1,4 +1,6 @@
-//! Scheduling, memory locking, cores and the timer.
+//! Scheduling, memory locking, cores and the timer. What can be tried is tried, since limits,
+//! capabilities and control groups may each refuse it; kernel and cores are read from `/proc` and
+//! `/sys`. Where these files are not there, as in a container, the answer is the cautious one.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,6 +13,7 @@ use crate::rt::{
     configure_thread, hold_cpu_latency, memory_lock_limit,
 };
 
+/// `SCHED_FIFO` priority of the try, the control thread's in `config/realtime.toml`.
 const PRIORITY: u8 = 80;
 /// Periods of the timer measurement, 1 ms each.
 const TIMER_PERIODS: u32 = 300;
@@ -21,6 +24,8 @@ const GROUPS: &str = "/sys/fs/cgroup";
 /// Memory that a control process locks, more than most limits allow.
 const LOCK_BYTES: usize = 64 << 20;
 
+/// Whether it is built for real time (PREEMPT_RT): by the flag of newer kernels or by its version's
+/// text. Without that, wake-ups are late by what the kernel can't interrupt.
 pub(super) fn kernel() -> Finding {
     let version = fs::read_to_string("/proc/version").unwrap_or_default();
     let release = version
@@ -42,6 +47,8 @@ pub(super) fn kernel() -> Finding {
     )
 }
 
+/// How many there are, whether any is isolated, and whether a control group cuts their time: a
+/// quota stops the control thread for the rest of the group's period once it is used up.
 pub(super) fn cores() -> Finding {
     let count = thread::available_parallelism().map_or(1, usize::from);
     let isolated = fs::read_to_string("/sys/devices/system/cpu/isolated").unwrap_or_default();
@@ -77,7 +84,8 @@ fn own_group() -> Option<String> {
 }
 
 /// How many cores' time a control group below `root` may use in cgroup v2, and the file that says
-/// so: the least `cpu.max` of its own and those above it.
+/// so: the least `cpu.max` of its own and those above it. None where no `cpu.max` has a number,
+/// that is where all is `max`.
 fn quota(root: &Path, group: &str) -> Option<(f64, PathBuf)> {
     let group = root.join(group.trim_start_matches('/'));
     let limits = group.ancestors().take_while(|at| at.starts_with(root));
@@ -111,6 +119,7 @@ fn allowing(item: &str, value: &str) -> String {
     )
 }
 
+/// Whether a thread gets `SCHED_FIFO`, tried on one of its own.
 pub(super) fn fifo() -> Finding {
     let name = "scheduling";
     match on_a_thread_under_fifo(|| ()) {
@@ -146,7 +155,8 @@ fn throttled_group() -> &'static str {
     }
 }
 
-/// Runs `work` on a thread of its own that asks for SCHED_FIFO.
+/// Runs `work` on a thread of its own that asks for SCHED_FIFO. If that is refused the work runs in
+/// the ordinary class; the grant says which it was.
 fn on_a_thread_under_fifo<R: Send + Default>(work: impl FnOnce() -> R + Send) -> (Grant, R) {
     let asking = RtOptions {
         priority: Some(PRIORITY),
@@ -166,6 +176,7 @@ fn on_a_thread_under_fifo<R: Send + Default>(work: impl FnOnce() -> R + Send) ->
     })
 }
 
+/// Whether `LOCK_BYTES` can be locked, tried and given back; the limit stands beside it.
 pub(super) fn memory_locking() -> Finding {
     let limit = match memory_lock_limit() {
         Ok(MemoryLockLimit::Unlimited) => "limit: none".to_owned(),
@@ -221,6 +232,8 @@ fn slowest_exit_us() -> Option<u64> {
     states.flatten().filter_map(latency).max()
 }
 
+/// How late a 1 kHz thread wakes on this machine as it is now, over `TIMER_PERIODS`. A short
+/// sample: it finds a machine that is unfit, and proves none fit.
 pub(super) fn timer() -> Finding {
     let (grant, late) = on_a_thread_under_fifo(lateness);
     let microseconds = |fraction: f64| late.percentile(fraction) / 1_000;
@@ -248,6 +261,7 @@ pub(super) fn timer() -> Finding {
     )
 }
 
+/// Lateness of each wake-up, ns; a skipped period counts with its whole length.
 fn lateness() -> Histogram {
     let mut late = Histogram::new();
     let clock = MonotonicClock::new();

@@ -1,4 +1,5 @@
-//! The screen: arms and joints above, filter and control loop below, keys in the last line.
+//! The screen: arms and joints above, filter and control loop below, keys in the last line. Lines
+//! of `ratatui`, made anew each time from what the run last said; what does not fit is cut off.
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout};
@@ -11,10 +12,10 @@ use super::seen::{Arm, Axis, State};
 use super::timing::draw_loop;
 use super::tone::{BAD, GOOD, HEAD, QUIET, WARN};
 
-/// Cells of a joint's range.
+/// Cells of a joint's range. Wide enough to see where in its range a joint is.
 const RANGE: usize = 17;
 
-/// A correction that is older says nothing of now, s.
+/// A correction that is older says nothing of now, s. Then it is grey, or not shown.
 const FRESH_S: f64 = 0.3;
 
 /// Draws all of it.
@@ -52,6 +53,7 @@ pub(super) fn screen(frame: &mut Frame<'_>, screen: &Screen) {
     frame.render_widget(key_line(screen.note().is_some()), keys);
 }
 
+/// Task or robot, policy, seed, time, speed, and that the control loop says nothing new, in red.
 fn title_line(screen: &Screen) -> Line<'_> {
     let facts = &screen.facts;
     let mut spans = vec![
@@ -83,6 +85,8 @@ fn title_line(screen: &Screen) -> Line<'_> {
     Line::from(spans)
 }
 
+/// For each arm a line of its state and one for each axis. The filter's change of an axis stands
+/// beside it only while it is fresh.
 fn joint_lines<'a>(screen: &'a Screen, state: &'a State) -> Vec<Line<'a>> {
     let axes = &screen.facts.axes;
     let mut lines = Vec::new();
@@ -98,6 +102,7 @@ fn joint_lines<'a>(screen: &'a Screen, state: &'a State) -> Vec<Line<'a>> {
     lines
 }
 
+/// Operating state, homing, motion; a fault, or why nothing was measured, in red behind them.
 fn arm_line(arm: &Arm) -> Line<'_> {
     let style = match arm.state.as_str() {
         "ENABLED" => GOOD,
@@ -120,7 +125,8 @@ fn arm_line(arm: &Arm) -> Line<'_> {
 }
 
 /// Name, range with measured and commanded position, both in numbers, commanded velocity, and what
-/// the filter changed of it, in limits.
+/// the filter changed of it, in limits. The range is yellow within 3 % of an end, the velocity
+/// above 97 % of its limit.
 fn axis_line(axis: &Axis, arm: &Arm, place: usize, change: Option<f64>) -> Line<'static> {
     let measured = arm.measured.as_ref().and_then(|all| all.get(place));
     let commanded = arm.commanded.get(place).copied().unwrap_or_default();
@@ -156,7 +162,8 @@ fn axis_line(axis: &Axis, arm: &Arm, place: usize, change: Option<f64>) -> Line<
 }
 
 /// A joint's limits as brackets, where it is (`●`) and where it is commanded to be (`|`) between
-/// them.
+/// them. A value beyond the limits stands at the bracket; the measured one covers the commanded
+/// one.
 fn range(axis: &Axis, measured: Option<f64>, commanded: f64) -> String {
     let mut cells = vec!['·'; RANGE];
     let mut put = |value: f64, mark: char| {
@@ -180,6 +187,7 @@ fn range(axis: &Axis, measured: Option<f64>, commanded: f64) -> String {
     format!("[{cells}]")
 }
 
+/// In mm or degrees with two decimals: people read these, configuration has m and rad.
 fn number(axis: &Axis, value: f64) -> String {
     if axis.unit == "m" {
         format!("{:.2} mm", 1000.0 * value)
@@ -188,6 +196,8 @@ fn number(axis: &Axis, value: f64) -> String {
     }
 }
 
+/// Counts since the run began of filter, guard and gate, the last refusal's reason, and what the
+/// task still lacks. A count of faults other than 0 has a colour.
 fn safety_lines(state: &State) -> Vec<Line<'_>> {
     let counts = &state.counts;
     let tone = |count: u64, style| if count > 0 { style } else { GOOD };
@@ -243,6 +253,8 @@ fn rows_line(state: &State) -> Line<'_> {
 
 /// The keys. Where the run takes a mark, the marks stand in place of `enable` and `clear`: such a
 /// run refuses both.
+///
+/// The keys and what they do; `monitor`'s `wish` is what they really do.
 fn key_line(takes_mark: bool) -> Line<'static> {
     const WITH_MARKS: [(&str, &str); 9] = [
         ("p", "pause"),

@@ -2,7 +2,8 @@
 //!
 //! It asks the run over its operator's socket for what pages of the console are told, ten times a
 //! second: `seen` reads that, `draw` and `timing` draw it; `rig/can_traffic` counts frames on the
-//! CAN interfaces of this machine.
+//! CAN interfaces of this machine. Nothing is kept between two looks but the newest state, so that
+//! a terminal that stalls delays nothing and loses nothing but what it did not show.
 
 mod draw;
 mod seen;
@@ -26,10 +27,10 @@ use trocar_log::{RunMark, RunNote};
 /// Time from one look to the next.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Steps of the speed keys, percent.
+/// Steps of the speed keys, percent. What comes of it is kept within 1 to 100.
 const SPEED_STEP: u8 = 10;
 
-/// What is on the screen.
+/// What is on the screen. One for the whole time; `draw` reads it and changes nothing.
 #[derive(Debug)]
 struct Screen {
     facts: Facts,
@@ -48,6 +49,8 @@ impl Screen {
 }
 
 /// What a key asks for.
+///
+/// None is answered by the monitor itself but the end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum KeyAction {
     Quit,
@@ -55,7 +58,7 @@ enum KeyAction {
 }
 
 /// Shows the run of process `run`, or the only one of this user, until it ends or the person
-/// leaves.
+/// leaves. The terminal is put back as it was in either case, and after a signal.
 ///
 /// # Errors
 /// [`SessionError::BadArgument`] if there is no such run, or no terminal;
@@ -86,7 +89,8 @@ pub fn monitor(run: Option<&str>) -> Result<(), SessionError> {
     shown.map_err(failed)
 }
 
-/// Looks and draws until the run ends or the person leaves.
+/// Looks and draws until the run ends or the person leaves. A key is answered at once; without one
+/// the next look is after `LOOK`.
 fn show(
     terminal: &mut DefaultTerminal,
     client: &mut QueryClient,
@@ -130,13 +134,16 @@ fn is_end(error: &io::Error) -> bool {
     matches!(error.kind(), BrokenPipe | ConnectionReset | UnexpectedEof)
 }
 
+/// `COMMAND: ANSWER`, in the run's own words; an error of the socket is an answer too.
 fn said(client: &QueryClient, command: &Command) -> String {
     let answer = client.say(command);
     let answer = answer.unwrap_or_else(|error| format!("error: {error}"));
     format!("{command}: {answer}")
 }
 
-/// What `key` asks for, of a run whose speed limits are at `percent` and whose mark is `mark`.
+/// What `key` asks for, of a run whose speed limits are at `percent` and whose mark is `mark`. Keys
+/// are those of `draw`'s last line. Only presses count, not repeats or releases where a terminal
+/// tells them apart.
 fn wish(key: KeyEvent, percent: u8, mark: Option<RunMark>) -> Option<KeyAction> {
     if key.kind != KeyEventKind::Press {
         return None;

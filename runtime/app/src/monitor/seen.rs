@@ -1,5 +1,7 @@
 //! What a run says of itself, as far as the monitor shows it: the same JSON that pages of the
-//! console get.
+//! console get. Keys that it does not know are passed over, so that it may be of another version
+//! than the run. The types stand for those in `console/facts` and `console/state`, which can only
+//! be written.
 
 use serde::Deserialize;
 use trocar_log::RunNote;
@@ -7,12 +9,14 @@ use trocar_log::RunNote;
 /// What does not change.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Facts {
+    /// The task, or what the limits of a robot's run are for.
     pub(super) title: String,
     pub(super) policy: String,
     pub(super) seed: u64,
     pub(super) axes: Vec<Axis>,
     /// Upper ends of the histograms' buckets, us.
     pub(super) buckets_us: Vec<u64>,
+    /// None of a run without a task.
     pub(super) time_limit_s: Option<f64>,
 }
 
@@ -23,6 +27,7 @@ pub(super) struct Axis {
     pub(super) unit: String,
     pub(super) low: f64,
     pub(super) high: f64,
+    /// The greatest, rad/s or m/s.
     pub(super) velocity: f64,
 }
 
@@ -32,11 +37,14 @@ pub(super) struct State {
     pub(super) seconds: f64,
     /// For how long the control loop has said nothing new, s.
     pub(super) silent_s: f64,
+    /// In the order of the configuration; one or two.
     pub(super) arms: Vec<Arm>,
     pub(super) filter: Filter,
     pub(super) counts: Counts,
     pub(super) timing: Timing,
+    /// From the observation to the chunk that came of it.
     pub(super) latency: Histogram,
+    /// Share of the speed limits that the operator allows.
     pub(super) speed_percent: u8,
     /// What the task still lacks, where it is known.
     pub(super) task: Option<String>,
@@ -53,7 +61,9 @@ pub(super) struct Arm {
     pub(super) busy: bool,
     pub(super) fault: Option<String>,
     pub(super) error: Option<String>,
+    /// None where nothing was measured in the tick; `error` says why.
     pub(super) measured: Option<Vec<f64>>,
+    /// rad, of insertion m, as all of an arm's numbers.
     pub(super) commanded: Vec<f64>,
     pub(super) commanded_velocity: Vec<f64>,
     pub(super) follows: bool,
@@ -62,13 +72,17 @@ pub(super) struct Arm {
 /// What the filter last changed.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Filter {
+    /// None if it has changed nothing since the run began.
     pub(super) ago_s: Option<f64>,
     pub(super) rows: Vec<String>,
+    /// Rows beyond those that are named.
     pub(super) more: u16,
     /// By how much each axis's velocity was changed, in its limit, arm by arm.
     pub(super) change: Vec<f64>,
 }
 
+/// Ticks and chunks since the run began: what the filter passed, solved and failed, in how many the
+/// guard intervened, and how many chunks came and were refused.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Counts {
     pub(super) ticks: u64,
@@ -82,15 +96,19 @@ pub(super) struct Counts {
     pub(super) last_refused: Option<String>,
 }
 
+/// Of each tick: how long it computed, and how late its thread woke.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Timing {
     pub(super) compute: Histogram,
     pub(super) wake: Histogram,
+    /// Whole periods that were skipped.
     pub(super) overruns: u64,
 }
 
+/// Durations counted in buckets; their upper ends are `Facts::buckets_us`.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Histogram {
+    /// One longer than there are ends: the last counts what is beyond all.
     pub(super) counts: Vec<u64>,
     pub(super) max_us: f64,
 }

@@ -11,7 +11,9 @@ use super::seen::{Histogram, State};
 use super::tone::{GOOD, WARN};
 use crate::rig::can_traffic::Bus;
 
-/// Draws it into `area`; bars only where there is room.
+/// Draws it into `area`; bars only where there is room. What is computed in a tick, how late its
+/// thread wakes, how old observations are when their chunk comes; then frames a second and errors
+/// on the CAN interfaces.
 pub(super) fn draw_loop(frame: &mut Frame<'_>, area: Rect, (screen, state): (&Screen, &State)) {
     let ends_us = &screen.facts.buckets_us;
     let buses = u16::try_from(screen.buses.all.len()).unwrap_or(u16::MAX);
@@ -63,7 +65,8 @@ fn bus_line(bus: &Bus) -> Line<'_> {
     Line::styled(text, style)
 }
 
-/// Durations of what `name` is in numbers.
+/// Durations of what `name` is in numbers. The median is a bucket's upper end, therefore `≤`; a
+/// dash where none was counted.
 fn words(name: &str, histogram: &Histogram, ends_us: &[u64]) -> String {
     let Some(median) = histogram.median_us(ends_us) else {
         return format!("{name:<7} –");
@@ -74,6 +77,7 @@ fn words(name: &str, histogram: &Histogram, ends_us: &[u64]) -> String {
     format!("{name:<7} p50 ≤ {median}, max {max}")
 }
 
+/// Milliseconds from 1000 us on.
 fn micro(us: f64) -> String {
     if us >= 1000.0 {
         format!("{:.1} ms", us / 1000.0)
@@ -82,7 +86,8 @@ fn micro(us: f64) -> String {
     }
 }
 
-/// A bar a bucket; roots make the rare ones visible.
+/// A bar a bucket; roots make the rare ones visible. From the shortest bucket on the left to what
+/// is beyond all ends.
 fn draw_bars(frame: &mut Frame<'_>, area: Rect, histogram: &Histogram) {
     let roots = histogram.counts.iter().map(|count| count.isqrt());
     frame.render_widget(Sparkline::default().data(roots).style(GOOD), area);

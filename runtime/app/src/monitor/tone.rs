@@ -1,4 +1,5 @@
-//! Colours of what is well, worth a look, bad, or no more than a frame around it.
+//! Colours of what is well, worth a look, bad, or no more than a frame around it. They are the
+//! terminal's own colours, by number, so that they fit its scheme.
 
 use ratatui::style::{Color, Modifier, Style};
 

@@ -1,4 +1,5 @@
-//! Why trials were lost, counted.
+//! Why trials were lost, counted. A reason is the verdict's or the fault's text with its numbers
+//! taken out.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +15,8 @@ fn loss(trial: &Trial) -> Option<String> {
     Some(format!("{kind}{}", without_numbers(&trial.reason)))
 }
 
-/// Why trials were lost: reasons without their numbers, with how often each column had it.
+/// Why trials were lost: reasons without their numbers, with how often each column had it. The most
+/// frequent first, equal ones by their text. An invalid trial is a reason of its own.
 #[must_use]
 pub(super) fn losses(results: &Results, table: &Table) -> Vec<(String, Vec<usize>)> {
     let mut counts: BTreeMap<String, Vec<usize>> = BTreeMap::new();
@@ -40,7 +42,7 @@ pub(super) fn losses(results: &Results, table: &Table) -> Vec<(String, Vec<usize
 }
 
 /// `reason` with an ellipsis for every number, so that reasons that differ in a measured value
-/// alone are one.
+/// alone are one. A digit within a word (`psm1`) is no number.
 fn without_numbers(reason: &str) -> String {
     let mut text = String::new();
     let mut in_number = false;

@@ -1,4 +1,6 @@
-//! Two policies compared by trials of the same seed.
+//! Two policies compared by trials of the same seed. Trials of one seed begin in the same scene, so
+//! that they are pairs: McNemar's exact test asks how probable a difference like theirs is if both
+//! succeed equally often, and Holm's method corrects it for the number of comparisons in a table.
 
 use std::collections::BTreeMap;
 
@@ -69,7 +71,8 @@ fn correct(comparisons: &mut [Comparison]) {
     }
 }
 
-/// Whether the valid trials at `at` succeeded, by training seed and trial seed.
+/// Whether the valid trials at `at` succeeded, by training seed and trial seed. A trial that
+/// several entries have is there once.
 fn successes(
     results: &Results,
     table: &Table,

@@ -1,4 +1,6 @@
-//! A report as one HTML file that asks for nothing else.
+//! A report as one HTML file that asks for nothing else. It stands alone in one file: style, plots
+//! and pictures are in it, it has no script, and its content security policy lets nothing be loaded
+//! from elsewhere.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -42,6 +44,7 @@ pub fn page(title: &str, blocks: &[Block]) -> String {
     )
 }
 
+/// Levels beyond 3 are 3, and 0 is 1.
 fn add(body: &mut String, block: &Block) {
     match block {
         Block::Heading(level, text) => {
@@ -72,6 +75,8 @@ fn details(body: &mut String, summary: &str, blocks: &[Block]) {
     body.push_str("</details>\n");
 }
 
+/// The SVG stands in the page itself, so that it takes the page's colours; its title is what a
+/// screen reader says.
 fn plot(title: &str, svg: &str) -> String {
     let title = escape(title);
     format!(
@@ -79,6 +84,7 @@ fn plot(title: &str, svg: &str) -> String {
     )
 }
 
+/// As a data URL: a third larger than the PNG, and no file beside the page.
 fn picture(title: &str, png: &[u8]) -> String {
     let (title, data) = (escape(title), STANDARD.encode(png));
     format!(
@@ -102,6 +108,7 @@ fn table(body: &mut String, head: &[String], rows: &[Vec<TableCell>]) {
     body.push_str("</tbody></table></div>\n");
 }
 
+/// &A number is set to the right; the tone colours the rate alone.
 fn table_cell(cell: &TableCell) -> String {
     let tone = match cell.tone {
         Tone::Plain => "",
@@ -139,7 +146,8 @@ fn inlines(line: &[Inline]) -> String {
     text
 }
 
-/// A relative path as an address: what has a meaning there is written in hexadecimal.
+/// A relative path as an address: what has a meaning there is written in hexadecimal. Letters,
+/// digits and `/-_.~` stay; every other byte of the UTF-8 is `%` and two digits.
 #[must_use]
 pub fn address(path: &str) -> String {
     let mut address = String::new();

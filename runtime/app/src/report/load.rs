@@ -110,6 +110,7 @@ pub struct Results {
     pub damaged: Vec<String>,
 }
 
+/// Of `eval --json` what a report needs; other keys are passed over.
 #[derive(Deserialize)]
 struct EvalFile {
     episodes: Vec<Trial>,
@@ -156,6 +157,8 @@ impl Results {
         self.damaged.extend(reasons);
     }
 
+    /// Adds a cell that is whole. Of a training a curve that is missing or can't be read is empty;
+    /// of an evaluation a result that can't be read is damage, and the next store is tried.
     fn take(&mut self, kind: Kind, made: Made) -> Result<(), String> {
         let address = made.manifest.address.clone();
         match kind {
@@ -213,6 +216,7 @@ fn read_curve(path: &Path) -> Vec<LossRow> {
     rows.collect()
 }
 
+/// Names both folders and both studies, since it is a folder that was given by mistake.
 fn other_grid(
     (study, folder): (&StudyRecord, &Path),
     (known, other): (&StudyRecord, &Path),

@@ -1,4 +1,5 @@
-//! Lost trials one by one, with film strips and logs.
+//! Lost trials one by one, with film strips and logs. Their number is bounded, so that a report of
+//! thousands of losses can still be sent.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -28,6 +29,7 @@ pub(super) fn losses_of_trials(results: &Results, from: &Path) -> Vec<Block> {
     head.into_iter().chain(blocks).collect()
 }
 
+/// In the order of the grids, folded up; strips stop at `STRIPS_ALL`, rows of the tables don't.
 fn evaluations_with_losses(results: &Results, from: &Path) -> Vec<Block> {
     let mut blocks = Vec::new();
     let mut room = STRIPS_ALL;
@@ -72,6 +74,7 @@ fn link(from: &Path, path: &Path) -> Inline {
     }
 }
 
+/// Seed, reason and time of each, with its log if that was kept.
 fn trials(evaluation: &Evaluation, lost: &[&Trial], from: &Path) -> Block {
     let head = ["seed", "reason", "after", "log"]
         .map(str::to_owned)
@@ -96,7 +99,8 @@ fn trials(evaluation: &Evaluation, lost: &[&Trial], from: &Path) -> Block {
     }
 }
 
-/// The way from the folder `from` to `to`, both absolute or both relative to the same place.
+/// The way from the folder `from` to `to`, both absolute or both relative to the same place. Links
+/// of a report hold as long as it and the study's folder stay where they are to each other.
 #[must_use]
 pub(super) fn relative(from: &Path, to: &Path) -> PathBuf {
     let from: Vec<Component<'_>> = from

@@ -1,4 +1,6 @@
-//! How the results of a study were made: training curves, time and memory, programs and hashes.
+//! How the results of a study were made: training curves, time and memory, programs and hashes. It
+//! closes a report: whoever doubts a figure finds here which program made it, from what, and at
+//! what cost.
 
 use std::collections::BTreeSet;
 
@@ -11,7 +13,7 @@ use crate::study::job::Kind;
 use crate::study::plan::Entry;
 
 /// The losses of every network's trainings, a colour a task. A training whose losses are not kept
-/// is only counted.
+/// is only counted. One plot for each network; none at all if no curve is kept.
 pub(super) fn training_curves(results: &Results) -> Vec<Block> {
     let study = &results.study;
     let trained = || {
@@ -33,6 +35,8 @@ pub(super) fn training_curves(results: &Results) -> Vec<Block> {
 }
 
 /// What comes, without repetition, in the order in which it comes first.
+///
+/// Quadratic, over a handful of names.
 fn each_once<'a>(names: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
     let mut list = Vec::new();
     for name in names {
@@ -43,7 +47,8 @@ fn each_once<'a>(names: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
     list
 }
 
-/// The losses of one network's trainings, if any are kept.
+/// The losses of one network's trainings, if any are kept. Losses are drawn over a logarithmic
+/// axis, on which they differ by decades.
 fn network_curves(results: &Results, network: &str, tasks: &[&String]) -> Option<Block> {
     let (series, trainings) = loss_series(results, network, tasks);
     let count = series.len();
@@ -64,7 +69,8 @@ fn network_curves(results: &Results, network: &str, tasks: &[&String]) -> Option
     })
 }
 
-/// The losses that are kept of one network's trainings, and how many trainings it has.
+/// The losses that are kept of one network's trainings, and how many trainings it has. A training
+/// that stands at several places is counted once. A task has one colour in all plots of a report.
 fn loss_series(results: &Results, network: &str, tasks: &[&String]) -> (Vec<Series>, usize) {
     let study = &results.study;
     let (mut seen, mut series) = (BTreeSet::new(), Vec::new());
@@ -121,7 +127,8 @@ pub(super) fn costs(results: &Results) -> Vec<Block> {
     ]
 }
 
-/// What was made, each once, by its kind and by its task or its network.
+/// What was made, each once, by its kind and by its task or its network. In the order of the kinds;
+/// what is not done, or damaged, is in none.
 fn groups(results: &Results) -> Vec<(Kind, String, Vec<&Made>)> {
     let mut groups: Vec<(Kind, String, Vec<&Made>)> = Vec::new();
     let mut seen = BTreeSet::new();
@@ -165,6 +172,8 @@ fn made_for<'a>(results: &'a Results, entry: &Entry) -> [(Kind, String, Option<&
     ]
 }
 
+/// A row of the table: the median is the upper of the two middle ones; memory is the greatest of
+/// all, and empty if no cell has it; GPUs are named once each.
 fn cost(kind: Kind, name: &str, made: &[&Made]) -> Vec<TableCell> {
     let mut seconds: Vec<f64> = made.iter().map(|made| made.manifest.seconds).collect();
     seconds.sort_by(f64::total_cmp);
@@ -187,12 +196,14 @@ fn cost(kind: Kind, name: &str, made: &[&Made]) -> Vec<TableCell> {
     ]
 }
 
+/// GB of 10^9 bytes, with one decimal.
 #[expect(clippy::cast_precision_loss, reason = "to a tenth of a GB")]
 fn memory(bytes: Option<u64>) -> String {
     bytes.map_or_else(String::new, |bytes| format!("{:.1} GB", bytes as f64 / 1e9))
 }
 
-/// Programs, machines, addresses, and the file that the study came from.
+/// Programs, machines, addresses, and the file that the study came from. What is long is folded
+/// away: all cells, and the text of the study's file as it was run.
 pub(super) fn provenance(results: &Results) -> Vec<Block> {
     let study = &results.study;
     vec![
@@ -209,6 +220,7 @@ pub(super) fn provenance(results: &Results) -> Vec<Block> {
     ]
 }
 
+/// All cells that are done, by kind, those of a kind by address.
 fn all_made(results: &Results) -> impl Iterator<Item = &Made> {
     let trainings = results.trainings.values().map(|training| &training.made);
     let evaluations = results
@@ -222,6 +234,7 @@ fn all_made(results: &Results) -> impl Iterator<Item = &Made> {
         .chain(evaluations)
 }
 
+/// A cell of fixed-width text, as for a hash.
 fn code(text: String) -> TableCell {
     TableCell {
         lines: vec![vec![Inline::Code(text)]],
@@ -229,6 +242,7 @@ fn code(text: String) -> TableCell {
     }
 }
 
+/// Several executables or machines stand side by side where cells were made by several.
 fn versions(results: &Results) -> Block {
     let distinct = |of: fn(&Made) -> String| {
         let mut found: Vec<String> = all_made(results).map(of).collect();
@@ -251,6 +265,7 @@ fn versions(results: &Results) -> Block {
     }
 }
 
+/// Every cell of the study with its address in full, which is the name of its folder.
 fn all_cells(results: &Results) -> Block {
     let mut rows = Vec::new();
     for (address, cell) in &results.study.cells {

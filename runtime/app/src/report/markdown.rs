@@ -1,4 +1,6 @@
-//! A report as Markdown, with its plots and pictures as files in a folder beside it.
+//! A report as Markdown, with its plots and pictures as files in a folder beside it. It is
+//! CommonMark with tables of GitHub's kind, and some HTML where Markdown has no word: folded parts
+//! and lines within a cell.
 
 use super::document::{Block, Inline, TableCell, Tone};
 use super::html::address;
@@ -26,6 +28,7 @@ pub fn text(blocks: &[Block], folder: &str) -> (String, Vec<Attachment>) {
     (writer.text, writer.files)
 }
 
+/// The page as it grows.
 struct Writer {
     text: String,
     folder: String,
@@ -75,6 +78,8 @@ impl Writer {
         self.text.push('\n');
     }
 
+    /// The file gets the next number as its name, so that a page is the same each time it is
+    /// written.
     fn attach(&mut self, title: &str, kind: &str, bytes: Vec<u8>) {
         let name = format!("{:03}.{kind}", self.files.len() + 1);
         self.text
@@ -83,6 +88,8 @@ impl Writer {
     }
 }
 
+/// A cell's lines with breaks; Markdown has no colours, so that one below the published rate says
+/// so.
 fn cell(cell: &TableCell) -> String {
     let lines: Vec<String> = cell.lines.iter().map(|line| inlines(line)).collect();
     let tone = match cell.tone {
@@ -114,12 +121,12 @@ fn coloured(svg: &str) -> String {
     )
 }
 
-/// The longest row of back quotes.
+/// The longest row of back quotes. A fence around a text has to be longer.
 fn longest_run(text: &str) -> usize {
     text.split(|c| c != '`').map(str::len).max().unwrap_or(0)
 }
 
-/// `text` where markup is expected.
+/// `text` where markup is expected. A line break becomes a space: it would end a table's row.
 fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {

@@ -1,5 +1,9 @@
 //! Reports of studies: one page with every table beside the published figures, curves, comparisons,
 //! losses, times and hashes.
+//!
+//! `load` reads the study's folders, `tables`, `compare`, `causes` and `statistics` count, `rates`,
+//! `losses`, `making`, `plots` and `strips` turn that into the blocks of `document`, which `page`
+//! puts in order and `html` or `markdown` writes. Nothing is run here, and no cell is changed.
 
 mod causes;
 pub mod compare;
@@ -89,12 +93,15 @@ pub fn write(folders: &[PathBuf], out: &Path, json: Option<&Path>) -> Result<Wri
     })
 }
 
+/// Told by the file's ending.
 #[derive(Clone, Copy)]
 enum PageKind {
     Html,
     Markdown,
 }
 
+/// # Errors
+/// `BadArgument` for any other ending, before anything is read.
 fn kind_of(out: &Path) -> Result<PageKind, StudyError> {
     match out.extension().and_then(|kind| kind.to_str()) {
         Some("html") => Ok(PageKind::Html),
@@ -139,6 +146,7 @@ fn folder_of(file: &Path) -> PathBuf {
     std::path::absolute(parent.join(".")).unwrap_or_else(|_| parent.to_owned())
 }
 
+/// What of a report a script may want, made from the same tables.
 fn figures(results: &Results) -> Figures {
     let tables = tables::tables(results);
     let all = results.study.count_of(Kind::Evaluation);

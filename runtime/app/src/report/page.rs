@@ -1,4 +1,5 @@
-//! What a report says, in which order.
+//! What a report says, in which order. From the rates, which one reads, to the hashes, which one
+//! looks up.
 
 use super::document::{Block, Inline, paragraph};
 use super::load::Results;
@@ -27,6 +28,7 @@ pub(super) fn blocks(results: &Results, from: &std::path::Path) -> Vec<Block> {
     blocks
 }
 
+/// How much of the study is done, and what was left out because its files are not what was written.
 fn summary(results: &Results) -> Vec<Block> {
     let cells = |kind: Kind| results.study.count_of(kind);
     let mut blocks = vec![paragraph(format!(
@@ -48,6 +50,7 @@ fn summary(results: &Results) -> Vec<Block> {
     blocks
 }
 
+/// One grid: its rates, curves and comparisons, and why its trials were lost.
 fn section(results: &Results, table: &Table) -> Vec<Block> {
     let grid = &table.grid;
     let mut blocks = vec![Block::Heading(2, grid.title.clone())];
@@ -82,6 +85,7 @@ fn comparisons(results: &Results, table: &Table) -> Option<Block> {
     })
 }
 
+/// Trials, seeds and the source of the published figures, in a sentence each.
 fn how(grid: &GridRecord) -> String {
     let last = grid.first_seed + (grid.trials as u64).saturating_sub(1);
     let mut text = format!(
@@ -98,7 +102,7 @@ fn how(grid: &GridRecord) -> String {
     text
 }
 
-/// All trials of a study by how they ended.
+/// All trials of a study by how they ended. One that several grids share is counted once.
 #[must_use]
 pub(super) fn total(results: &Results) -> Score {
     let scores = results

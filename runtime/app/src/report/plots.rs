@@ -1,4 +1,6 @@
-//! Plots as SVG whose text and axes have the colour of the page around them.
+//! Plots as SVG whose text and axes have the colour of the page around them. Two kinds: success
+//! rates from 0 to 1 with intervals, and losses over a logarithmic axis. plotters draws them; its
+//! black becomes `currentColor`, so that a page in dark mode shows them too.
 
 use std::fmt::Display;
 use std::ops::Range;
@@ -17,7 +19,7 @@ pub struct Series {
     pub name: String,
     /// Which of the colours it has; series of one colour are named once.
     pub colour: usize,
-    /// Its points.
+    /// Its points. They are joined in this order. Non-finite ones don't widen the axes.
     pub points: Vec<(f64, f64)>,
     /// The interval around each point; none for a plain line.
     pub intervals: Vec<[f64; 2]>,
@@ -50,8 +52,10 @@ const COLOURS: [RGBColor; 8] = [
     RGBColor(0x7d, 0x83, 0x8c),
 ];
 
+/// Width and height, pixels; a page scales it down to its own width.
 const SIZE: (u32, u32) = (500, 320);
 
+/// Beyond eight series colours repeat.
 fn colour(series: &Series) -> RGBColor {
     COLOURS[series.colour % COLOURS.len()]
 }
@@ -140,6 +144,7 @@ impl Plot {
         Ok(())
     }
 
+    /// Losses as thin lines without marks. Of several lines of one colour the first names it.
     fn draw_logarithmic(
         &self,
         area: &DrawingArea<SVGBackend<'_>, Shift>,
@@ -212,7 +217,8 @@ fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
     })
 }
 
-/// Whole decades around the values, which are above 0.
+/// Whole decades around the values, which are above 0. At least one, and none without a positive
+/// value, which a logarithm has not.
 fn decades(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
     let Range { start, end } = range(values.filter(|value| *value > 0.0).map(f64::log10))?;
     let (low, high) = (start.floor(), end.ceil());
@@ -231,6 +237,7 @@ fn short(value: f64) -> String {
     }
 }
 
+/// Up to three decimals, without zeros at the end.
 fn trimmed(value: impl Display) -> String {
     let text = format!("{value:.3}");
     if text.contains('.') {

@@ -1,4 +1,5 @@
-//! The tables and curves of success rates, comparisons and reasons.
+//! The tables and curves of success rates, comparisons and reasons. What `tables`, `compare` and
+//! `causes` have counted becomes blocks of the page here; nothing is computed but formats.
 
 use super::compare::Comparison;
 use super::document::{Block, Inline, TableCell, Tone, plain};
@@ -8,6 +9,8 @@ use super::tables::{Place, Row, Table};
 use crate::study::axis::Axis;
 use crate::study::plan::StudyRecord;
 
+/// The table of `table`'s grid: a row for each place on the row axes, a column for each on the
+/// column axis, and a last row of means unless the rows are points of a curve.
 pub(super) fn rates(study: &StudyRecord, table: &Table) -> Block {
     let mut rows: Vec<Vec<TableCell>> = Vec::new();
     for Row {
@@ -33,7 +36,8 @@ pub(super) fn rates(study: &StudyRecord, table: &Table) -> Block {
     }
 }
 
-/// The last row: the mean of each column.
+/// The last row: the mean of each column. Empty where a place is missing, since a mean over other
+/// rows would compare what is not comparable.
 fn means(table: &Table) -> Vec<TableCell> {
     let mut row = vec![TableCell::default(); table.row_axes.len()];
     if let Some(first) = row.first_mut() {
@@ -48,7 +52,8 @@ fn means(table: &Table) -> Vec<TableCell> {
     row
 }
 
-/// A rate with everything that stands beside it.
+/// A rate with everything that stands beside it. None while a training seed is missing: a part of
+/// the trials has another expectation.
 fn rate(place: &Place) -> TableCell {
     let mut cell = TableCell {
         number: true,
@@ -79,6 +84,8 @@ fn missing(place: &Place) -> &'static str {
 
 /// The rate, its interval, invalid trials if there are any, and each training's successes if there
 /// are several.
+///
+/// Wilson's interval stands beside each rate, 95 %.
 fn score_lines(place: &Place, score: &Score) -> Vec<Vec<Inline>> {
     let (rate, [low, high]) = score.rate();
     let mut lines = vec![
@@ -104,6 +111,7 @@ fn score_lines(place: &Place, score: &Score) -> Vec<Vec<Inline>> {
     lines
 }
 
+/// Ours above the published mean, each only if it is over all rows.
 fn mean(ours: Option<f64>, published: Option<f64>) -> TableCell {
     let mut cell = TableCell {
         number: true,
@@ -120,7 +128,8 @@ fn mean(ours: Option<f64>, published: Option<f64>) -> TableCell {
     cell
 }
 
-/// Published rates have two digits.
+/// Published rates have two digits. So that ours is below only if it is by more than half of the
+/// last one.
 fn tone(ours: Option<f64>, published: Option<f64>) -> Tone {
     match (ours, published) {
         (Some(ours), Some(published)) if ours < published - 0.005 => Tone::Below,
@@ -129,7 +138,8 @@ fn tone(ours: Option<f64>, published: Option<f64>) -> Tone {
     }
 }
 
-/// A plot for each place on the axes other than the curve's and the columns'.
+/// A plot for each place on the axes other than the curve's and the columns'. None of a grid
+/// without a curve. A place on the curve's axis that is no number has no point.
 pub(super) fn curves(study: &StudyRecord, table: &Table) -> Vec<Block> {
     let Some(axis) = table.grid.curve else {
         return Vec::new();
@@ -157,6 +167,8 @@ pub(super) fn curves(study: &StudyRecord, table: &Table) -> Vec<Block> {
 }
 
 /// Adds the rates of `row` at `x` to the series of its columns.
+///
+/// Each with its interval; a column whose trials are not all there has none here.
 fn add_points(plot: &mut Plot, x: f64, row: &Row) {
     for (series, place) in plot.series.iter_mut().zip(&row.places) {
         if let Some(score) = place.as_ref().and_then(|place| place.score) {
@@ -167,6 +179,7 @@ fn add_points(plot: &mut Plot, x: f64, row: &Row) {
     }
 }
 
+/// None if no column has a point.
 fn draw(mut plot: Plot, axis: Axis) -> Option<Block> {
     plot.series.retain(|series| !series.points.is_empty());
     Some(Block::Plot {
@@ -175,6 +188,8 @@ fn draw(mut plot: Plot, axis: Axis) -> Option<Block> {
     })
 }
 
+/// &Its title names the place; its series are the table's columns in their order, so that a column
+/// has the same colour in all plots of the grid.
 fn empty_plot(study: &StudyRecord, table: &Table, axis: Axis, names: &[String]) -> Plot {
     let others = table.row_axes.iter().filter(|found| **found != axis);
     let title: Vec<String> = others
@@ -201,6 +216,7 @@ fn empty_plot(study: &StudyRecord, table: &Table, axis: Axis, names: &[String]) 
     }
 }
 
+/// The table of `comparisons`: how many pairs of trials ended how, McNemar's p and Holm's.
 pub(super) fn compared(study: &StudyRecord, table: &Table, comparisons: &[Comparison]) -> Block {
     let mut head: Vec<String> = table
         .row_axes
@@ -236,6 +252,7 @@ fn comparison(study: &StudyRecord, table: &Table, comparison: &Comparison) -> Ve
     row
 }
 
+/// Three decimals; below a thousandth the power of ten, since 0.000 would be wrong.
 fn probability(p: f64) -> String {
     if p < 0.0005 {
         format!("{p:.0e}")
@@ -244,6 +261,8 @@ fn probability(p: f64) -> String {
     }
 }
 
+/// The table of lost trials by reason: a row for each, most frequent first, and a count a column;
+/// empty for 0.
 pub(super) fn reasons(
     study: &StudyRecord,
     table: &Table,
@@ -273,11 +292,13 @@ fn head(study: &StudyRecord, table: &Table) -> Vec<String> {
     rows.chain(columns(study, table)).collect()
 }
 
+/// Titles of the columns, by which the file's own names are shown.
 fn columns(study: &StudyRecord, table: &Table) -> Vec<String> {
     let title = |name: &String| study.title_of(table.grid.columns, name);
     table.columns.iter().map(title).collect()
 }
 
+/// The titles of `names`, which lie on `axes` in this order.
 fn labels(study: &StudyRecord, axes: &[Axis], names: &[String]) -> Vec<TableCell> {
     let named = axes.iter().zip(names);
     named

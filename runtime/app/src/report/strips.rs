@@ -1,4 +1,5 @@
-//! Film strips of trials, from the animations that `eval --keep` left.
+//! Film strips of trials, from the animations that `eval --keep` left. What can't be read has no
+//! strip: a report does not fail for it.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor};
@@ -34,6 +35,8 @@ pub(super) fn strip_of(evaluation: &Evaluation, trial: &Trial) -> Option<Vec<u8>
 }
 
 /// A file of `trial`: by its name, or what the result calls it, in the folder of what was kept.
+/// Logs and animations may have been moved with their cell's folder, so that the path in the result
+/// counts for its last part alone.
 fn kept(
     evaluation: &Evaluation,
     trial: &Trial,
@@ -51,6 +54,8 @@ fn kept(
     names.into_iter().flatten().find(|path| path.is_file())
 }
 
+/// Scaled down as they are decoded, since a whole animation in full size would fill the memory; a
+/// damaged one has the frames before the damage.
 fn read(path: &Path) -> Option<Vec<RgbaImage>> {
     let decoder = GifDecoder::new(BufReader::new(File::open(path).ok()?)).ok()?;
     let frames = decoder.into_frames().take(FRAMES_MAX);
@@ -65,6 +70,7 @@ fn read(path: &Path) -> Option<Vec<RgbaImage>> {
     (!frames.is_empty()).then_some(frames)
 }
 
+/// Up to `MOMENTS` frames side by side, the first and the last among them.
 fn strip(frames: &[RgbaImage]) -> Option<Vec<u8>> {
     let (width, height) = frames.first()?.dimensions();
     let moments = MOMENTS.min(frames.len());

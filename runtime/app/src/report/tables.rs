@@ -56,6 +56,7 @@ pub fn tables(results: &Results) -> Vec<Table> {
         .collect()
 }
 
+/// The grid's entries at its rows and columns. Each place looks through all of them, some hundreds.
 fn table(results: &Results, grid: &GridRecord) -> Table {
     let entries = entries_of(&results.study, grid);
     let row_axes = row_axes(&entries, grid.columns);
@@ -81,6 +82,7 @@ fn table(results: &Results, grid: &GridRecord) -> Table {
     }
 }
 
+/// The names of the place `at` on each of `axes`; empty on an axis on which it has none.
 fn labels_on(axes: &[Axis], at: &Coordinates) -> Vec<String> {
     axes.iter().map(|axis| at.on(*axis)).collect()
 }
@@ -135,17 +137,21 @@ fn row_axes(entries: &[&Entry], columns: Axis) -> Vec<Axis> {
     }
 }
 
+/// In the order in which they come, as the study's file has them.
 fn push_new(list: &mut Vec<String>, value: String) {
     if !list.contains(&value) {
         list.push(value);
     }
 }
 
+/// Of all trials in order, invalid ones too.
 fn command_hashes<'a>(evaluations: impl Iterator<Item = &'a Evaluation>) -> Vec<String> {
     let trials = evaluations.flat_map(|evaluation| &evaluation.trials);
     trials.map(|trial| trial.command_hash.clone()).collect()
 }
 
+/// &None without an entry. The score is that of all training seeds together, since each is one
+/// sample of the same recipe.
 fn place<'a>(
     results: &Results,
     grid: &GridRecord,

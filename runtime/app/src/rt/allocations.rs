@@ -1,5 +1,7 @@
 //! The system allocator, counting what each thread asks of it, so that a run can say that its
-//! control thread asked for nothing.
+//! control thread asked for nothing. Only requests are counted, not what is given back: a real-time
+//! thread may do neither, and whoever frees has allocated before. A count is one thread-local
+//! addition.
 #![expect(
     unsafe_code,
     reason = "an allocator can't be had without; every call goes on to the system's unchanged"
@@ -9,9 +11,11 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 thread_local! {
+    /// Without a destructor, so that it can be used until the thread's very end; it wraps around.
     static REQUESTS: Cell<u64> = const { Cell::new(0) };
 }
 
+/// One more for the calling thread; itself allocates nothing.
 fn count() {
     REQUESTS.with(|requests| requests.set(requests.get().wrapping_add(1)));
 }

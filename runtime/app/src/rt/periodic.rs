@@ -43,9 +43,11 @@ impl Wake {
 /// they are skipped and counted and the phase is kept.
 #[derive(Clone, Debug)]
 pub struct Periodic {
+    /// Of `first` and all deadlines.
     clock: MonotonicClock,
     first: TimeNs,
     period_ns: u64,
+    /// The period that is due next, if it is not missed.
     next_index: u64,
     skipped: u64,
 }
@@ -63,7 +65,8 @@ impl Periodic {
         }
     }
 
-    /// Sleeps until the next period is due.
+    /// Sleeps until the next period is due. The control thread's wait: one absolute sleep, no
+    /// allocation. After an overrun it returns at once, with the newest period that has begun.
     pub fn wait(&mut self) -> Wake {
         let skipped = missed(self.due(self.next_index), self.clock.now(), self.period_ns);
         let index = self.next_index + skipped;
@@ -97,6 +100,7 @@ impl Periodic {
         &self.clock
     }
 
+    /// By multiplication, so that no rounding adds up.
     fn due(&self, index: u64) -> TimeNs {
         self.first.plus_ns(index * self.period_ns)
     }

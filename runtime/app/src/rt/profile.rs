@@ -1,4 +1,5 @@
-//! `config/realtime.toml`: what the threads of a run in real time ask of the operating system.
+//! `config/realtime.toml`: what the threads of a run in real time ask of the operating system. The
+//! file says what is wanted; `rt/thread` and `rt/held` ask for it and report what was granted.
 
 use hal::config::{ConfigError, Source};
 use serde::Deserialize;
@@ -47,26 +48,33 @@ impl Default for RtProfile {
     }
 }
 
+/// The file as it is written: all keys but one are needed, and unknown ones are refused.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
     strict: bool,
     lock_memory: bool,
     hold_cpu_dma_latency: bool,
+    /// 0, as without it, is no limit.
     #[serde(default)]
     overruns_per_s_max: u32,
     control: ThreadFile,
     simulation: ThreadFile,
 }
 
+/// A thread's part of it.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ThreadFile {
+    /// 0 is the ordinary class, 1 to 99 `SCHED_FIFO`.
     priority: i32,
+    /// -1 is any core.
     cpu: i32,
 }
 
 impl ThreadFile {
+    /// # Errors
+    /// A priority or a core out of range, with the key below `name`.
     fn checked(self, source: &Source, name: &str) -> Result<RtOptions, ConfigError> {
         let (priority, cpu) = (format!("{name}.priority"), format!("{name}.cpu"));
         source.check_range(&priority, self.priority.into(), 0.0, 99.0)?;
@@ -153,6 +161,7 @@ impl RtProfile {
         Ok(held)
     }
 
+    /// Both requests, with what became of each; a refusal is no error here.
     fn hold_as_asked(&self) -> Held {
         let memory = if self.lock_memory {
             lock_memory()

@@ -28,6 +28,7 @@ pub(super) fn wanted_slow_motion() -> Result<u64, String> {
     })
 }
 
+/// A whole number from 1 to `SLOW_MOTION_MAX`; none of anything else.
 fn parse_slow_motion(text: &str) -> Option<u64> {
     let factor = text.parse().ok()?;
     (1..=SLOW_MOTION_MAX).contains(&factor).then_some(factor)
@@ -83,10 +84,13 @@ pub(super) fn wall_ahead_ns() -> Option<i64> {
     (after - before < LOOK_NS_MAX).then(|| wall.wrapping_sub(between).cast_signed())
 }
 
+/// CLOCK_MONOTONIC as it is, not slowed down; ns since the machine started, without the time in
+/// which it was suspended.
 fn system_ns() -> u64 {
     clock_ns(libc::CLOCK_MONOTONIC)
 }
 
+/// The vDSO answers it on most machines, without a system call.
 fn clock_ns(clock: libc::clockid_t) -> u64 {
     let mut now = libc::timespec {
         tv_sec: 0,
@@ -123,7 +127,8 @@ pub(super) fn sleep_until_ns(deadline_ns: u64) {
     }
 }
 
-/// Puts the calling thread under `SCHED_FIFO`.
+/// Puts the calling thread under `SCHED_FIFO`. The priority is 1 to 99; needs `CAP_SYS_NICE` or a
+/// limit `rtprio`.
 pub(super) fn set_fifo(priority: u8) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: i32::from(priority),
@@ -132,7 +137,8 @@ pub(super) fn set_fifo(priority: u8) -> io::Result<()> {
     checked(unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) })
 }
 
-/// Keeps the calling thread on one core.
+/// Keeps the calling thread on one core. A core that is not there, or not this process', is the
+/// system's error.
 pub(super) fn pin_to(cpu: usize) -> io::Result<()> {
     let capacity = usize::try_from(libc::CPU_SETSIZE).unwrap_or(0);
     if cpu >= capacity {
@@ -218,6 +224,7 @@ pub fn can_lock_bytes(bytes: usize) -> io::Result<()> {
 /// How many signals have asked the process to end, and how many of those are wishes: one more ends
 /// it at once.
 static INTERRUPTS: AtomicU32 = AtomicU32::new(0);
+/// How many signals only ask for the end: 1, or 2 while arms move.
 static WISHES: AtomicU32 = AtomicU32::new(1);
 
 /// Runs inside the signal: nothing but atomics and what POSIX calls async-signal-safe is allowed
@@ -258,6 +265,8 @@ pub fn arms_rest() {
     WISHES.store(1, Ordering::Release);
 }
 
+/// Installs the handler for the three signals and forgets those that came before. `SA_RESTART`
+/// keeps blocking calls from failing with `EINTR`.
 fn catch() -> io::Result<()> {
     INTERRUPTS.store(0, Ordering::Release);
     for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
@@ -289,7 +298,8 @@ pub fn interrupt_process(id: u32) -> io::Result<()> {
     checked(unsafe { libc::kill(id, libc::SIGINT) })
 }
 
-/// Greatest memory of the process `id` so far, bytes.
+/// Greatest memory of the process `id` so far, bytes. `VmHWM` of `/proc`; none of a process that
+/// has ended.
 pub(crate) fn peak_memory(id: u32) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/{id}/status")).ok()?;
     let line = status
@@ -314,6 +324,7 @@ pub fn end_with_parent(parent: u32) -> io::Result<()> {
     ))
 }
 
+/// The error of a call that answers with a code other than 0 and sets `errno`.
 fn checked(code: libc::c_int) -> io::Result<()> {
     if code == 0 {
         Ok(())
