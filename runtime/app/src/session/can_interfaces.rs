@@ -18,11 +18,11 @@ use crate::rt::MonotonicClock;
 
 /// Opens the interfaces `names`, line 0 first.
 ///
-/// # Errors
-/// [`SessionError::Interface`] for one that is not there or is down.
-///
 /// `clock` is the bus's own. Interfaces that are down are refused first: the kernel would bind a
 /// socket to them and every send would fail later.
+///
+/// # Errors
+/// [`SessionError::Interface`] for one that is not there or is down.
 pub(super) fn open(
     names: &[String],
     clock: MonotonicClock,
@@ -97,11 +97,11 @@ impl BusOffInjector {
 
     /// Says so on `line`, with the error frame that a controller's driver would give.
     ///
-    /// # Errors
-    /// [`SessionError::Interface`].
-    ///
     /// The error class of `linux/can/error.h`, `CAN_ERR_BUSOFF`, without data. Does nothing on a
     /// line that was not opened.
+    ///
+    /// # Errors
+    /// [`SessionError::Interface`].
     pub(super) fn send(&self, line: u8) -> Result<(), SessionError> {
         const BUS_OFF: u32 = 0x040;
         let Some((name, socket)) = self.sockets.get(usize::from(line)) else {

@@ -152,10 +152,10 @@ pub struct Changes(pub Vec<Change>);
 impl Changes {
     /// `source`, which is `file`, with what is to be changed in it.
     ///
+    /// Changes of other files are passed over; without any the source is returned as it is.
+    ///
     /// # Errors
     /// [`ConfigError::NoKey`] with the keys that there are.
-    ///
-    /// Changes of other files are passed over; without any the source is returned as it is.
     pub fn apply(&self, file: ConfigFile, source: Source) -> Result<Source, ConfigError> {
         let mut changed = source;
         for change in self.0.iter().filter(|change| change.file == file) {
@@ -179,10 +179,10 @@ impl Changes {
 
     /// Refuses a change of a file that is not among those that are `read`.
     ///
+    /// A verb that reads no `can.toml`, say, would otherwise take `--set can.x=1` and do nothing.
+    ///
     /// # Errors
     /// [`SessionError::BadArgument`].
-    ///
-    /// A verb that reads no `can.toml`, say, would otherwise take `--set can.x=1` and do nothing.
     pub fn only(&self, read: &[ConfigFile]) -> Result<(), SessionError> {
         match self.0.iter().find(|change| !read.contains(&change.file)) {
             None => Ok(()),

@@ -1,4 +1,6 @@
 //! How a run ended, in its log and in its result.
+//!
+//! One value that both are made from, so that they cannot differ.
 
 use hal::TimeNs;
 use trocar_log::{Level, LogCounts, LogError, Recorder, RunNote, RunOutcome};
@@ -13,7 +15,11 @@ pub(super) struct Ended {
     /// Whether the task was done, if there was one.
     pub(super) success: Option<bool>,
     /// Whether the program did its job.
+    ///
+    /// Of a task, whether it was done; of a robot, whether its run ended as it was asked to,
+    /// without a fault.
     pub(super) ok: bool,
+    /// For a person, one line: `success`, the failure, the fault, or what ended the run.
     pub(super) reason: String,
     /// What a soft tissue went through, if the task has one.
     pub(super) tissue: Option<TissueSummary>,
@@ -30,12 +36,15 @@ impl Ended {
         }
     }
 
+    /// Success is the judge's alone; the reason may be a controller's fault.
     pub(super) fn episode(end: &EpisodeEnd) -> Self {
         let success = matches!(end.outcome, Outcome::Success);
         Self::task(success, end.reason(), end.tissue)
     }
 
     /// What the log says of it.
+    ///
+    /// Without marks and hands: whoever has them adds them.
     pub(super) fn outcome(&self, tally: &Tally) -> RunOutcome {
         RunOutcome {
             success: self.success,

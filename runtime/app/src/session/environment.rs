@@ -1,5 +1,8 @@
 //! Episodes one after another for an external policy that steps through them, as a Gymnasium
 //! environment does.
+//!
+//! Episodes are those of `session::episode` and the protocol on topics is that of
+//! `session::external`; the program on the policy's side turns both into `reset` and `step`.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -22,9 +25,13 @@ use super::{SessionError, Setup};
 #[derive(Clone, Debug, Serialize)]
 pub struct EpisodeSummary {
     /// The episode as a trial.
+    ///
+    /// Seed, verdict and counts, as `eval` has them.
     #[serde(flatten)]
     pub trial: TrialSummary,
     /// Whether it was the time that ran out.
+    ///
+    /// What Gymnasium calls truncated, apart from terminated.
     pub time_limit: bool,
 }
 
@@ -36,6 +43,10 @@ pub type OnEnd<'a> = &'a mut dyn FnMut(Option<&EpisodeSummary>);
 ///
 /// After an episode's verdict `on_end` hears of it, and then the policy is shown where it has
 /// ended, one step after the last. An episode that the policy abandons is over.
+///
+/// `seeds` may block until the next episode is asked for; the environment ends when it ends, and an
+/// `Err` of it ends it at once. The cameras are kept from episode to episode, since a renderer is
+/// slow to make.
 ///
 /// # Errors
 /// From the configuration, the policy or the simulation.
@@ -80,6 +91,7 @@ pub fn run_environment(
     Ok(())
 }
 
+/// An episode that is still running when its ticks are over counts as out of time as well.
 fn summary(seed: u64, end: &EpisodeEnd) -> EpisodeSummary {
     let trial = TrialSummary::new(seed, end);
     let time_limit = matches!(
@@ -90,6 +102,9 @@ fn summary(seed: u64, end: &EpisodeEnd) -> EpisodeSummary {
 }
 
 /// Shows the policy where the episode has ended.
+///
+/// No query comes after the verdict, and a final observation is wanted all the same. Arms are
+/// measured anew and every camera of the policy is drawn.
 fn show_end(
     shared: &Shared,
     simulation: &mut Simulation,
@@ -121,6 +136,8 @@ fn show_end(
 }
 
 /// The policy, both where chunks come from and here.
+///
+/// The lock is never contended: both ends are on this thread, one after the other.
 #[derive(Clone)]
 struct Shared(Arc<Mutex<ExternalPolicy>>);
 

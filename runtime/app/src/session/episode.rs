@@ -23,6 +23,8 @@ pub struct Timing {
     /// Time from an observation to the delivery of its chunk.
     pub latency: Latency,
     /// The episode is given up after so many ticks.
+    ///
+    /// Ticks are 1 ms.
     pub tick_limit: u64,
 }
 
@@ -30,8 +32,12 @@ pub struct Timing {
 #[derive(Clone, Copy, Debug)]
 pub struct StepView<'a> {
     /// The measured arms.
+    ///
+    /// At the step's tick, before its command.
     pub arms: &'a PerArm<ArmObservation>,
     /// Frames, if any were taken: of the policy's cameras, then of the watcher's others.
+    ///
+    /// Empty if none were taken in this step; their `sequence` is the step.
     pub frames: &'a [CameraFrame],
     /// The answer, a chunk for each arm, if the policy was asked.
     pub answer: Option<&'a PerArm<Chunk>>,
@@ -42,6 +48,10 @@ pub struct StepView<'a> {
 }
 
 /// Observes an episode: a log, a dataset, images.
+///
+/// Methods are called on the episode's thread in a fixed order: `wants_stop`, `wants_end`, `step`,
+/// then `chunk` for each arm, then `tick_of`. What they cost, the episode takes longer in wall
+/// time, and nothing else changes.
 pub trait EpisodeObserver {
     /// Cameras whose frames it wants at every policy step.
     fn cameras(&self) -> Vec<String> {
@@ -232,6 +242,7 @@ impl Running<'_> {
         PerArm::collect(executed).ok_or_else(|| self.other_arms())
     }
 
+    /// The one error of a simulation that has other arms than the controller was made for.
     fn other_arms(&self) -> SessionError {
         SessionError::BadArgument(format!(
             "the controller has {} arms, the simulation another number",
@@ -251,6 +262,8 @@ impl Running<'_> {
         asked.then(|| self.ask(arms, &[], clock)).transpose()
     }
 
+    /// Wall time of the answer is measured, and only reported: delivery in ticks follows the
+    /// `Latency` alone.
     fn ask(
         &mut self,
         arms: &PerArm<ArmObservation>,
@@ -314,12 +327,17 @@ fn seen(measured: &PerArm<Measured>) -> Option<PerArm<ArmObservation>> {
 }
 
 /// The cameras of an episode and their newest frames.
+///
+/// Frames are allocated once and drawn over in each step.
 struct Cameras {
+    /// Cameras of the simulation, one for each of `frames`.
     indices: Vec<usize>,
     frames: Vec<CameraFrame>,
     /// So many of them, the first, are the policy's.
     seen: usize,
+    /// An observer wants frames whether the policy is asked or not.
     every_step: bool,
+    /// Whether `frames` are of this step.
     fresh: bool,
 }
 
@@ -371,6 +389,7 @@ impl Cameras {
         })
     }
 
+    /// Draws all of them at once, or none.
     fn take(
         &mut self,
         simulation: &mut Simulation,

@@ -12,6 +12,8 @@ use trocar_drives::{Network, Terminal};
 use trocar_world::plant::{AxisVector, DriveSetpoint, actuator_efforts};
 
 /// The share of the greatest torque that a drive may use; none without torque.
+///
+/// 6072h has it in per mille of the rated torque: 1 is the rated torque.
 fn torque_share(demand: &Demand) -> f64 {
     if demand.torque {
         demand.torque_per_mille_max / 1000.0
@@ -20,6 +22,7 @@ fn torque_share(demand: &Demand) -> f64 {
     }
 }
 
+/// Joint order with the jaw as the seventh axis, as plans and tails have it.
 fn with_jaw(joints: &JointVector, jaw: f64) -> AxisVector {
     core::array::from_fn(|axis| {
         if axis < JOINT_COUNT {
@@ -33,6 +36,7 @@ fn with_jaw(joints: &JointVector, jaw: f64) -> AxisVector {
 /// One arm's drives and its plant.
 #[derive(Clone, Debug)]
 pub(super) struct Coupling {
+    /// Says in which space, joints or actuators, the drives count.
     plan: ArmPlan,
     /// Axes that their motors do not turn any more.
     slack: [bool; TAIL_AXES],
@@ -51,6 +55,8 @@ impl Coupling {
     }
 
     /// The motor of `axis` turns, or nothing turns with it.
+    ///
+    /// Nothing happens for an axis that there is not.
     pub(super) fn set_slack(&mut self, axis: usize, slack: bool) {
         if let Some(place) = self.slack.get_mut(axis) {
             *place = slack;
@@ -58,6 +64,11 @@ impl Coupling {
     }
 
     /// What the drives want of the plant.
+    ///
+    /// Counts are divided by `counts_per_unit` of each axis: rad and rad/s, for the insertion m and
+    /// m/s, in the plan's space. Torque is a share of the rated one; a drive without torque or with
+    /// a slack axis has 0, and its plant axis is limp. A node that is not on the network counts as
+    /// one without torque at position 0.
     pub(super) fn setpoint(&self, network: &mut Network<Terminal>) -> DriveSetpoint {
         let demands: [Option<Demand>; TAIL_AXES] = core::array::from_fn(|axis| {
             let node = self.plan.axes[axis].node;
@@ -81,6 +92,9 @@ impl Coupling {
 
     /// Turns each motor to where its drive wants it, if that has torque and the motor is not slack:
     /// nothing else is moved.
+    ///
+    /// Perfect motors: they are where they are wanted in the same millisecond, need no torque, and
+    /// keep their place without it.
     pub(super) fn turn_freely(&self, network: &mut Network<Terminal>) {
         for (axis, slack) in self.plan.axes.iter().zip(self.slack) {
             let Some(motor) = network.motor(axis.node) else {
@@ -111,6 +125,10 @@ impl Coupling {
     }
 
     /// What the drives' encoders and current sensors say of an arm in `state`.
+    ///
+    /// Positions and velocities go from joints into the plan's space and into counts; efforts, N m
+    /// or N, become per mille of the rated torque of each axis. Counts are not rounded here: the
+    /// drive's objects do that.
     pub(super) fn feedback(&self, state: &ArmState) -> [Feedback; TAIL_AXES] {
         let space = self.plan.space;
         let position = space.from_joints(&with_jaw(&state.position, state.jaw_position));

@@ -1,4 +1,8 @@
 //! Faults that are injected into emulated drives on purpose, as the command line names them.
+//!
+//! Two ways: a frame of the drive is changed on its way to the wire ([`Meddling`]), or the drive,
+//! its motor or the process around it is changed ([`Injector::turn`]). Times are the drives', so
+//! that a fault hits the same tick of an episode on any machine.
 
 mod parse;
 
@@ -16,29 +20,36 @@ pub use parse::BadFault;
 /// What goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FaultKind {
-    /// The node loses its power and its place on the bus.
+    /// The node loses its power and its place on the bus. It boots up when the fault is over; its
+    /// motor keeps its place.
     Pull,
     /// The node is reset and boots up.
     Reboot,
     /// The drive fails by itself with this code.
     Emergency(ErrorCode),
-    /// The motor turns nothing any more: its axis is limp, the drive thinks otherwise.
+    /// The motor turns nothing any more: its axis is limp, the drive thinks otherwise. Encoder and
+    /// drive stay as they are, and the following error grows if something else turns the axis.
     Slack,
-    /// The node's answers to SYNC get lost.
+    /// The node's answers to SYNC get lost. Transmit PDOs alone: heartbeats and SDO answers still
+    /// come.
     Silence,
-    /// The node's answers come a cycle and a half late.
+    /// The node's answers come a cycle and a half late. Later than the next SYNC, so that the
+    /// master misses one cycle and has the answer in the wrong one.
     Late,
     /// The node's answers are a byte too short.
     Short,
-    /// The node's answers make no sense.
+    /// The node's answers make no sense. Eight bytes FFh in each transmit PDO.
     Garbage,
-    /// The node's heartbeats get lost.
+    /// The node's heartbeats get lost. Its PDOs still come; the master's heartbeat consumer has to
+    /// notice.
     NoHeartbeat,
-    /// The node says that it is another make, from the start.
+    /// The node says that it is another make, from the start. Its product code (1018h:02) is one
+    /// too high at boot; `at` and `for` do not matter.
     WrongIdentity,
-    /// The controllers of all others on the bus count too many errors and leave it.
+    /// The controllers of all others on the bus count too many errors and leave it. Reported once,
+    /// as an error frame on the socket of every listener; nothing ends it.
     BusOff,
-    /// Another node sends SYNC on the bus.
+    /// Another node sends SYNC on the bus. One frame, so a fault that lasts is several faults.
     ForeignMaster,
 }
 
@@ -54,6 +65,8 @@ pub struct InjectedFault {
     /// How long, ns; for good if not given.
     pub for_ns: Option<u64>,
     /// As it was typed.
+    ///
+    /// For [`fmt::Display`] alone; two faults that are typed differently are not equal.
     text: String,
 }
 
@@ -64,14 +77,19 @@ impl fmt::Display for InjectedFault {
 }
 
 /// A frame of `node` that something happens to.
+///
+/// Several may be active; the first that applies to a frame decides.
 #[derive(Clone, Copy, Debug)]
 struct Meddling {
     kind: FaultKind,
     node: NodeId,
+    /// Of [`FaultKind::Late`]: one and a half cycles.
     delay_ns: u64,
 }
 
 impl Meddling {
+    /// None if this frame passes as it is. Only transmit PDOs and heartbeats of the node are
+    /// touched.
     fn of(&self, frame: &Frame) -> Option<Tampering> {
         let answer = matches!(Cob::of(frame.id), Cob::TransmitPdo(_, node) if node == self.node);
         let beat = matches!(Cob::of(frame.id), Cob::Heartbeat(node) if node == self.node);
@@ -104,23 +122,33 @@ pub(super) enum Outside {
 }
 
 impl InjectedFault {
+    /// `since_ns` counts from the moment all drives were first enabled. False for ever without
+    /// `for_ns`.
     fn is_over(&self, since_ns: u64) -> bool {
         let end_ns = self.for_ns.map(|for_ns| self.at_ns + for_ns);
         end_ns.is_some_and(|end_ns| since_ns >= end_ns)
     }
 }
 
+/// A fault goes through all three once and in order; none begins twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
+    /// `at_ns` has not come.
     Waiting,
+    /// It has begun, and its end, if it has one, has not come.
     Active,
+    /// What can be undone was undone.
     Over,
 }
 
 /// The faults of a run, and what is left of them.
 pub(super) struct Injector {
+    /// In the order of the command line, which is the place that [`Injector::turn`] gives.
     faults: Vec<(InjectedFault, Stage)>,
+    /// Shared with the closure that the network calls for each frame; never borrowed across a call
+    /// into the network.
     meddling: Rc<RefCell<Vec<Meddling>>>,
+    /// Of the first arm; [`FaultKind::Late`] delays by one and a half of it.
     cycle_ns: u64,
 }
 
@@ -176,6 +204,7 @@ impl Injector {
         begun
     }
 
+    /// What has an effect at once has it here; the rest is put among `meddling`.
     fn begin(
         &self,
         fault: &InjectedFault,
@@ -213,6 +242,8 @@ impl Injector {
         }
     }
 
+    /// Undoes power, slack and meddling. A reset, an emergency, a bus-off and a foreign SYNC are
+    /// events: there is nothing to undo.
     fn end(
         &self,
         fault: &InjectedFault,
@@ -241,6 +272,9 @@ impl Injector {
 }
 
 /// The bit of 1001h that goes with a drive's own error.
+///
+/// Error codes of CiA 301 have their class in the first digit: 2xxxh is current, 3xxxh voltage,
+/// 4xxxh temperature, 8xxxh monitoring. The generic bit alone stands for all others.
 const fn register_of(code: ErrorCode) -> u8 {
     match code.0 >> 12 {
         0x2 => register::CURRENT,

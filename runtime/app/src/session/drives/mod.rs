@@ -12,6 +12,10 @@
 //! look at the world: scripted experts, cameras, and whoever wants to know how the task went. The
 //! episode begins when all drives of all arms are enabled for the first time; before that nothing
 //! is judged.
+//!
+//! This is the side of the drives alone. The master that leads them, in another process, is
+//! `realtime::remote_arms::can` with `trocar_canopen`; the drives themselves, their state machines
+//! and wires are the crate `trocar_drives`.
 
 mod bench;
 pub(super) mod bus_thread;
@@ -67,6 +71,8 @@ pub enum Moved<'a> {
     /// The arms of a task, in its world.
     Task(&'a Plan),
     /// So many arms, each motor by itself: they stand in for real drives, without a scene.
+    ///
+    /// Without a judge, cameras or verdict.
     Arms(usize),
 }
 
@@ -78,6 +84,7 @@ impl Moved<'_> {
         }
     }
 
+    /// For errors: the task, or the option that asked for no world.
     fn name(&self) -> String {
         match self {
             Self::Task(plan) => plan.setup.robot.name.clone(),
@@ -85,6 +92,7 @@ impl Moved<'_> {
         }
     }
 
+    /// 0 without a world, which has nothing random.
     const fn seed(&self) -> u64 {
         match self {
             Self::Task(plan) => plan.seed,
@@ -97,16 +105,28 @@ impl Moved<'_> {
 #[derive(Clone, Debug)]
 pub struct DrivesOptions {
     /// Names the topics.
+    ///
+    /// Other processes join under the same name; one world a name. Without a world nothing is
+    /// published.
     pub topics: String,
     /// Whether the cameras that the setup keeps are drawn and published.
+    ///
+    /// Drawing costs the first thread time; the bus thread is not held up by it.
     pub cameras: bool,
     /// What goes wrong on purpose.
+    ///
+    /// Each node must be among those of the arms that run.
     pub faults: Vec<InjectedFault>,
     /// Where a page sees the drives, and their world if they have one.
     pub console: Option<Console>,
 }
 
 /// The world of `plan` and where it shows itself.
+///
+/// The world itself draws nothing: cameras are the show's.
+///
+/// # Errors
+/// If the task cannot be built, the topics are taken, or there is no renderer.
 fn open_world(
     plan: &Plan,
     options: &DrivesOptions,
@@ -125,8 +145,13 @@ fn open_world(
 /// Runs the drives of the arms until a signal comes. `say` gets a line when they are there, when
 /// the episode begins, for whatever stops a drive, and for the verdict.
 ///
+/// Blocks until a signal, or until an error. The bus thread is spawned here and joined before it
+/// returns; everything else happens on the calling thread.
+///
 /// # Errors
-/// From the configuration, the buses, the simulation or the topics.
+/// From the configuration, the buses, the simulation or the topics. [`SessionError::BadArgument`]
+/// for too few arms in `can`, one node for two axes, or a fault of an unknown node;
+/// [`SessionError::Interface`] for a bus that is not there or is down.
 pub fn run_drives(
     moved: Moved<'_>,
     can: &CanConfig,
@@ -203,6 +228,9 @@ pub fn run_drives(
 }
 
 /// What the first thread does until it is time to end.
+///
+/// Every 5 ms: show, notices, page. An error of the show ends the drives as well; an error of the
+/// page does not.
 fn attend(
     (mut show, mut page): (Option<Show>, Option<DrivesPage>),
     teller: &mut Teller<'_>,
@@ -229,6 +257,9 @@ fn attend(
 }
 
 /// Status of the drives for pages, if there is a console.
+///
+/// None without a console. Names of arms and cameras are told once; the states come with
+/// [`DrivesPage::turn`].
 fn show_page(
     moved: Moved<'_>,
     can: &CanConfig,
@@ -252,6 +283,8 @@ fn show_page(
 }
 
 /// A fault must be of a drive that is there.
+///
+/// Lists the nodes that there are.
 fn check_faults(
     can: &CanConfig,
     arms: usize,
@@ -282,13 +315,17 @@ fn nodes(can: &CanConfig, arms: usize) -> String {
 
 /// Says what the bus thread reports.
 struct Teller<'a> {
+    /// From the bus thread, oldest first.
     notices: Consumer<Notice>,
     has_world: bool,
+    /// For the text of a fault that has begun.
     faults: &'a [InjectedFault],
     off: BusOffInjector,
+    /// All that have been said, for the summary.
     stops: Vec<Stop>,
     /// Stops that have not been said yet.
     fresh: Vec<Stop>,
+    /// When the first of `fresh` came; of no meaning while there is none.
     first: TimeNs,
     clock: MonotonicClock,
 }
@@ -317,6 +354,7 @@ impl Teller<'_> {
         Ok(())
     }
 
+    /// All drives of an arm stop within some milliseconds: they are one line instead of seven.
     fn gather(&mut self, stop: Stop) {
         if self.fresh.is_empty() {
             self.first = self.clock.now();
@@ -340,6 +378,7 @@ impl Teller<'_> {
     }
 }
 
+/// `busy_share` is the mean over the whole run, 0 to 1, at the bus's bit rate.
 fn bus_summaries(names: &[String], end: &BusEnd) -> Vec<BusSummary> {
     let elapsed_ns = end.now.0.max(1);
     let buses = names.iter().zip(&end.busy);
@@ -352,6 +391,7 @@ fn bus_summaries(names: &[String], end: &BusEnd) -> Vec<BusSummary> {
     buses.collect()
 }
 
+/// Success is none without a world, and false for an episode that never began.
 fn sum_up(moved: Moved<'_>, names: &[String], end: &BusEnd, stops: &[Stop]) -> DrivesSummary {
     let outcome = end.world.as_ref().map(|world| world.outcome);
     let task = match moved {

@@ -1,4 +1,7 @@
 //! Status of the drives for the pages of the console.
+//!
+//! Messages are JSON, one object whenever the bus thread has put a new look into the mailbox (20 a
+//! second); the page that shows them is `console/page/drives.js`.
 
 use std::collections::VecDeque;
 
@@ -16,6 +19,8 @@ use crate::mailbox::MailboxReader;
 use crate::rig::can_traffic::Buses;
 
 /// Lines of what happened that a page has.
+///
+/// The page keeps no lines of its own, so each message has all of them.
 const LINES_MAX: usize = 40;
 
 /// A bus's load is that of the last whole one of these, ns.
@@ -23,67 +28,90 @@ const LOAD_NS: u64 = 1_000_000_000;
 
 /// The drives, on their way to the pages that look at them.
 pub(super) struct DrivesPage {
+    /// Where messages go; with nobody connected they go nowhere.
     console: Console,
     seen: MailboxReader<Seen>,
+    /// One an arm, none where there is no arm: names of axes depend on it.
     spaces: [Option<Space>; ARMS_MAX],
+    /// What the kernel counts, beside what the emulated wires know.
     buses: Buses,
+    /// Oldest first.
     lines: VecDeque<Line>,
+    /// The drives' time of the newest look, which dates lines.
     now: TimeNs,
     /// The drives at the beginning of the time that loads are taken over, and each bus's load in
     /// the one before.
+    ///
+    /// Replaced once a second.
     before: Option<Seen>,
+    /// 0 to 1, one an interface.
     loads: Vec<f64>,
 }
 
 /// Something that happened.
 #[derive(Clone, Debug, Serialize)]
 struct Line {
+    /// In the drives' time.
     seconds: f64,
     text: String,
 }
 
+/// The whole of a message; keys are the fields' names, and the page reads them by name.
 #[derive(Serialize)]
 struct DrivesStatus<'a> {
+    /// Always `drives`: by it a page knows what message this is.
     kind: &'static str,
     seconds: f64,
     /// Since all drives were enabled for the first time, if they were.
     episode_s: Option<f64>,
+    /// Time that did not pass for the drives, since the start.
     stalled_s: f64,
+    /// Since the start, over all buses.
     frames_lost: u64,
     arms: Vec<ArmStatus>,
     buses: Vec<BusStatus<'a>>,
+    /// The newest 40 lines of the terminal.
     happened: &'a VecDeque<Line>,
 }
 
+/// Of an arm that the drives have.
 #[derive(Serialize)]
 struct ArmStatus {
     name: &'static str,
+    /// In axis order, the jaw or the last actuator at the end.
     axes: Vec<AxisStatus>,
 }
 
+/// Words for people, ready to be shown; empty or `no power` without power.
 #[derive(Serialize)]
 struct AxisStatus {
     name: &'static str,
     /// None without power.
     node: Option<u8>,
     nmt: &'static str,
+    /// CiA 402's power state.
     state: &'static str,
     mode: &'static str,
     /// The error that it reports, if there is one.
     error: Option<String>,
+    /// `m` of the insertion, else `rad`.
     unit: &'static str,
+    /// Where the motor is, in `unit`; none without power.
     position: Option<f64>,
+    /// Where the drive holds it; none without torque.
     wanted: Option<f64>,
 }
 
 #[derive(Serialize)]
 struct BusStatus<'a> {
     interface: &'a str,
+    /// Since the start, by the emulated wire.
     frames: u64,
     /// Share of the last second for which it was busy at its bit rate.
     load: f64,
     /// What the kernel counts of its interface.
     frames_per_s: f64,
+    /// Since the interface exists, by the kernel.
     errors: u64,
 }
 
@@ -113,6 +141,8 @@ impl DrivesPage {
     }
 
     /// Keeps a line of what happened.
+    ///
+    /// Also goes into the console's log of events, at the time of the newest look.
     pub(super) fn note(&mut self, text: &str) {
         if self.lines.len() == LINES_MAX {
             self.lines.pop_front();
@@ -125,6 +155,9 @@ impl DrivesPage {
     }
 
     /// Tells the pages how the drives are, if there is something new.
+    ///
+    /// Called every 5 ms by the first thread. Reads the kernel's counters when there is something
+    /// new.
     pub(super) fn turn(&mut self) {
         let Some(seen) = self.seen.take() else {
             return;
@@ -153,6 +186,7 @@ impl DrivesPage {
         arms.collect()
     }
 
+    /// Allocates; borrows names and lines.
     fn status(&self, seen: &Seen) -> DrivesStatus<'_> {
         let buses = self.buses.all.iter().zip(&seen.busy).zip(&self.loads);
         let buses = buses.map(|((bus, (_, frames)), load)| BusStatus {
@@ -175,6 +209,7 @@ impl DrivesPage {
         }
     }
 
+    /// Until the first second is over loads are 0.
     fn take_loads(&mut self, seen: &Seen) {
         let before = self.before.get_or_insert(*seen);
         let elapsed_ns = seen.now.since(before.now);
@@ -188,6 +223,7 @@ impl DrivesPage {
     }
 }
 
+/// `axis` counts from 0; `seen` is none of a drive without power.
 fn axis_status(axis: usize, space: Space, seen: Option<&AxisSeen>) -> AxisStatus {
     let name = JOINT_NAMES.get(axis).copied().unwrap_or("jaw");
     let name = match space {
@@ -223,6 +259,7 @@ const ACTUATORS: [&str; 7] = [
     "disk 4",
 ];
 
+/// As CiA 301 names it.
 const fn nmt_name(state: NmtState) -> &'static str {
     match state {
         NmtState::BootUp => "boot-up",
@@ -246,6 +283,7 @@ const fn power_name(state: PowerState) -> &'static str {
     }
 }
 
+/// Of 6061h, the mode that the drive is in, not the one it was asked for.
 fn mode_name(mode: i8) -> &'static str {
     match Mode::try_from(mode) {
         Ok(Mode::None) => "none",

@@ -16,22 +16,29 @@ const BUSES_MAX: usize = LINES_MAX * ARMS_MAX;
 /// One drive and its axis, in the units of its plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct AxisSeen {
+    /// 1 to 127.
     pub(super) node: u8,
+    /// Its own, not what its master last heard.
     pub(super) nmt: NmtState,
     pub(super) power: PowerState,
     /// 6061h.
+    ///
+    /// The mode of operation display; negative values are a maker's own.
     pub(super) mode: i8,
     /// The error that it reports, if it does.
     pub(super) error: Option<ErrorCode>,
     /// Where the axis is, and where the drive wants it if it has torque.
     pub(super) position: f64,
+    /// The drive's own demand, within its position limits.
     pub(super) wanted: Option<f64>,
 }
 
 /// All drives and buses at one instant of the drives' time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
+    /// Since the drives were switched on.
     pub(super) now: TimeNs,
+    /// When all drives were first enabled; the bench fills it in.
     pub(super) begun: Option<TimeNs>,
     /// Time that did not pass for the drives, ns.
     pub(super) stalled_ns: u64,
@@ -45,6 +52,8 @@ pub(super) struct Seen {
 
 impl Seen {
     /// The drives of `arms` on the buses of `network`, of which the first `lines` are there.
+    ///
+    /// Copies: nothing is borrowed from the network, so that a page may be slow.
     pub(super) fn look<'a>(
         network: &mut Network<Terminal>,
         arms: impl Iterator<Item = &'a ArmPlan>,
@@ -70,6 +79,8 @@ impl Seen {
     }
 }
 
+/// None without power, and for an axis that the plan has not. An error counts only if both the
+/// register (1001h) and the code (603Fh) are set: the code alone is what the last error was.
 fn look_at(network: &mut Network<Terminal>, plan: &ArmPlan, axis: usize) -> Option<AxisSeen> {
     let axis = plan.axes.get(axis)?;
     if !network.is_powered(axis.node) {

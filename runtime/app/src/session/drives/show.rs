@@ -1,5 +1,9 @@
 //! What a world shows to other processes: its scene, how the task stands and the verdict, and what
 //! its cameras see.
+//!
+//! Used by the emulated drives and by the simulator, which both have a world and lead no control
+//! loop. Runs on their first thread; a mailbox keeps it apart from the thread that steps the world,
+//! so slow drawing skips instants and delays none.
 
 use hal::ARM_NAMES;
 use trocar_tasks::cameras::{SceneCameras, SceneModel};
@@ -32,23 +36,33 @@ pub(in crate::session) struct ShowOptions<'a> {
 pub(in crate::session) struct Show {
     /// Kept for as long as the topics live.
     _node: TopicNode,
+    /// Task, seed and hash of the scene: readers refuse a world that is not theirs.
     world: WorldName,
+    /// What decides a run: the verdict, and the state that scripted experts see.
     scene: Publisher<SceneReport>,
     /// For whoever draws it, or shows it on pages.
     snapshots: Publisher<SnapshotReport>,
+    /// The criteria of success and what is missing, for pages and logs.
     task: Publisher<TaskReport>,
+    /// There if cameras are published or a page may look.
     cameras: Option<SceneCameras>,
     /// Cameras that are published.
     views: Vec<Published>,
+    /// The newest instant that has not been published.
     shown: MailboxReader<Shown>,
     /// What pages look at besides.
     page: Option<Views>,
+    /// Whether the verdict has been said: it stays the same from then on.
     decided: bool,
 }
 
 impl Show {
     /// Opens the topics, and the renderer if there are cameras to draw; draws `start` once, since
     /// the first image takes far longer than the others.
+    ///
+    /// # Errors
+    /// [`SessionError::BadArgument`] if another world shows its scene under this name; from the
+    /// topics and the renderer.
     pub(in crate::session) fn open(
         plan: &Plan,
         options: &ShowOptions<'_>,
@@ -99,6 +113,12 @@ impl Show {
     }
 
     /// Publishes the newest instant, if there is a new one, and says the verdict once.
+    ///
+    /// Called every few milliseconds. Without a new instant it lets readers that have just come
+    /// connect. Drawing all published cameras takes most of its time.
+    ///
+    /// # Errors
+    /// From the topics and the renderer of published cameras; never from the page.
     pub(in crate::session) fn turn(
         &mut self,
         say: &mut dyn FnMut(&str),
@@ -159,6 +179,7 @@ impl Show {
         self.page = None;
     }
 
+    /// Every published camera, in order, of this one instant.
     fn draw(&mut self, shown: &Shown) -> Result<(), SessionError> {
         let Some(cameras) = &mut self.cameras else {
             return Ok(());
@@ -172,6 +193,8 @@ impl Show {
 }
 
 /// The scene of the drives, for the pages of a console if there is one.
+///
+/// None without a console. The scene's file is built here, once.
 fn show_scene(
     plan: &Plan,
     options: &ShowOptions<'_>,

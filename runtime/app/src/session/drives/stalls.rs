@@ -1,4 +1,7 @@
 //! Time that did not pass for the drives, since their process was kept from running.
+//!
+//! A report of a late stop would otherwise blame the master or the drives for what the machine's
+//! load did.
 
 use std::collections::VecDeque;
 
@@ -10,7 +13,9 @@ const NEWEST: usize = 256;
 /// When it did not pass, in the drives' time, and for how long.
 #[derive(Clone, Debug)]
 pub(super) struct Stalls {
+    /// Oldest first; allocated once.
     newest: VecDeque<(TimeNs, u64)>,
+    /// Also of those that are forgotten.
     total_ns: u64,
 }
 
@@ -23,6 +28,8 @@ impl Stalls {
     }
 
     /// At `at` so much time did not pass, ns.
+    ///
+    /// Time is not negative: 0 is not kept.
     pub(super) fn note(&mut self, at: TimeNs, ns: u64) {
         if ns == 0 {
             return;
@@ -35,6 +42,8 @@ impl Stalls {
     }
 
     /// How much did not pass from `start` on, ns.
+    ///
+    /// Less than the truth if more than 256 have come since `start`.
     pub(super) fn since(&self, start: TimeNs) -> u64 {
         let newer = self.newest.iter().filter(|(at, _)| *at >= start);
         newer.map(|(_, ns)| ns).sum()

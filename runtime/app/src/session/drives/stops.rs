@@ -1,4 +1,9 @@
 //! Why emulated drives stopped, and how long after their master's last word they rested.
+//!
+//! A drive follows if it has power, is in `operation enabled` and in cyclic position mode. It has
+//! stopped when it no longer does, and rests when its axis has been slower than 1 % of its greatest
+//! speed for 10 ms. Both are counted from the last SYNC, since that is the last word of a master
+//! that falls silent.
 
 use core::fmt;
 
@@ -23,12 +28,18 @@ const REST_NS: u64 = 10_000_000;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StopCause {
     /// It reported an error.
+    ///
+    /// Also an error of the bus or of its master's heartbeat, which has a code of its own.
     Error(ErrorCode),
     /// Its master commanded a quick stop.
+    ///
+    /// Control word (6040h) with the quick stop bit cleared.
     QuickStop,
     /// Its master switched it off.
     SwitchedOff,
     /// It was taken out of operational, or reset.
+    ///
+    /// The NMT state it was found in.
     Left(NmtState),
     /// It has lost its power.
     Powerless,
@@ -63,6 +74,8 @@ pub struct Stop {
     /// When it left off following.
     pub at: TimeNs,
     /// The last SYNC that it received before.
+    ///
+    /// None if it never received one.
     pub sync: Option<TimeNs>,
     /// The last instant at which the axis moved, once it rests; the last SYNC if it did not move
     /// then.
@@ -74,6 +87,8 @@ pub struct Stop {
 
 impl Stop {
     /// How long after the last SYNC the drive left off following, and its axis rested, ns.
+    ///
+    /// None before the axis rests, or without a SYNC.
     #[must_use]
     pub fn after_sync_ns(&self) -> Option<(u64, u64)> {
         let sync = self.sync?;
@@ -81,13 +96,16 @@ impl Stop {
     }
 }
 
+/// What is remembered of one axis from look to look.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
+    /// At the last look.
     follows: bool,
     /// The newest SYNC while it followed.
     sync: Option<TimeNs>,
     /// The newest instant at which the axis moved.
     moved: TimeNs,
+    /// A stop whose axis has not come to rest; handed on and taken away then.
     stop: Option<Stop>,
 }
 
@@ -95,6 +113,7 @@ struct Seen {
 #[derive(Clone, Debug)]
 pub(super) struct StopWatch {
     arm: usize,
+    /// Greatest speeds and counts a unit of its axes.
     plan: ArmPlan,
     seen: [Seen; TAIL_AXES],
     /// Whether all have followed at once: before that drives come and go.
@@ -102,6 +121,7 @@ pub(super) struct StopWatch {
 }
 
 impl StopWatch {
+    /// No drive follows yet.
     pub(super) const fn new(arm: usize, plan: &ArmPlan) -> Self {
         let seen = Seen {
             follows: false,
@@ -123,6 +143,9 @@ impl StopWatch {
     }
 
     /// Looks at all drives; `tell` gets every stop that has come to its rest.
+    ///
+    /// To be called every millisecond of the drives' time: both instants of a stop are as exact as
+    /// that.
     pub(super) fn look(
         &mut self,
         now: TimeNs,
@@ -140,6 +163,8 @@ impl StopWatch {
         }
     }
 
+    /// A stop is noted only once all drives have been enabled together, since bring-up and homing
+    /// enable and disable them one by one.
     fn look_at(
         &mut self,
         axis: usize,
@@ -190,6 +215,8 @@ impl StopWatch {
     }
 }
 
+/// In order of rank: no power, an error that the drive reports, an NMT state other than
+/// operational, a quick stop, and what is left.
 fn cause(node: &Node, powered: bool) -> StopCause {
     let dictionary = node.dictionary();
     let code: u16 = dictionary.get_as(index::ERROR_CODE);
@@ -209,6 +236,9 @@ fn cause(node: &Node, powered: bool) -> StopCause {
 }
 
 /// The stops of `stops` in a few lines: those of one arm for one reason together.
+///
+/// In the order in which the first of each group stopped. Quadratic in their number, which is a
+/// few.
 #[must_use]
 pub(super) fn lines(stops: &[Stop]) -> Vec<String> {
     let mut lines = Vec::new();
@@ -224,6 +254,8 @@ pub(super) fn lines(stops: &[Stop]) -> Vec<String> {
 }
 
 /// The stops of `group`, of which `stop` is the first, in a line.
+///
+/// The slowest of the group gives the times.
 fn line(stop: &Stop, group: &[&Stop]) -> String {
     let nodes: Vec<String> = group.iter().map(|stop| stop.node.to_string()).collect();
     let arm = ARM_NAMES[stop.arm];

@@ -1,4 +1,8 @@
 //! Faults as they are typed: `kind=KIND,node=N[,at=2s][,for=100ms][,code=0x4310]`.
+//!
+//! The same text is what a fault is called on the terminal and on pages, so it is kept as it was
+//! typed. Keys come in any order; one that is given twice counts as its last value says. Whether
+//! the node exists is checked by `run_drives`, which knows the buses.
 
 use core::str::FromStr;
 
@@ -8,6 +12,9 @@ use trocar_canopen::cia301::emcy::ErrorCode;
 use super::{FaultKind, InjectedFault};
 
 /// Names of the kinds on the command line.
+///
+/// `emcy` stands for over-temperature of the drive, 4310h, unless `code=` says another; all others
+/// take no code.
 const KINDS: [(&str, FaultKind); 13] = [
     ("pull", FaultKind::Pull),
     ("reboot", FaultKind::Reboot),
@@ -28,6 +35,9 @@ const KINDS: [(&str, FaultKind); 13] = [
 ];
 
 /// A fault that cannot be read.
+///
+/// The whole line for a person, without the option's name: which key, its value, and what is
+/// allowed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct BadFault(String);
@@ -35,6 +45,8 @@ pub struct BadFault(String);
 impl FromStr for InjectedFault {
     type Err = BadFault;
 
+    /// `at=` is 0 if it is not given, and then the fault begins with the episode. No blanks are
+    /// allowed around `,` and `=`.
     fn from_str(text: &str) -> Result<Self, BadFault> {
         let (mut kind, mut node, mut at_ns, mut for_ns, mut code) = (None, None, 0, None, None);
         for part in text.split(',') {
@@ -70,6 +82,7 @@ impl FromStr for InjectedFault {
     }
 }
 
+/// Exact, lower case; the error lists all kinds.
 fn parse_kind(value: &str) -> Result<FaultKind, BadFault> {
     let found = KINDS.iter().find(|(name, _)| *name == value);
     found.map(|(_, kind)| *kind).ok_or_else(|| {
@@ -78,12 +91,14 @@ fn parse_kind(value: &str) -> Result<FaultKind, BadFault> {
     })
 }
 
+/// 1 to 127, as CiA 301 numbers nodes.
 fn parse_node(value: &str) -> Result<NodeId, BadFault> {
     let node = value.parse().ok().and_then(NodeId::new);
     node.ok_or_else(|| BadFault(format!("node={value}: a node is 1 to 127")))
 }
 
-/// `2s`, `1.5s` or `150ms`, ns.
+/// `2s`, `1.5s` or `150ms`, ns. 0 to 3600 s, rounded to whole microseconds; negative times and NaN
+/// are refused. `ms` is tried before `s`, since both end in the same letter.
 fn parse_time(key: &str, value: &str) -> Result<u64, BadFault> {
     let (number, scale) = match (value.strip_suffix("ms"), value.strip_suffix('s')) {
         (Some(number), _) => (number, 1.0),
@@ -104,6 +119,7 @@ fn parse_time(key: &str, value: &str) -> Result<u64, BadFault> {
     Ok(whole_us * 1000)
 }
 
+/// Hexadecimal with or without `0x`. 0000h is refused: it means that an error was reset.
 fn parse_code(value: &str) -> Result<ErrorCode, BadFault> {
     let digits = value.strip_prefix("0x").unwrap_or(value);
     let code = u16::from_str_radix(digits, 16)
