@@ -60,6 +60,8 @@ pub struct Solution {
     /// The change `d`; exactly zero past the problem's size.
     pub change: [f64; VARIABLES_MAX],
     /// Steps of the dual method, and models of the cones.
+    ///
+    /// Of both phases together; what `iterations_max` bounds.
     pub iterations: u32,
 }
 
@@ -67,6 +69,8 @@ pub struct Solution {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
     /// Too many iterations.
+    ///
+    /// Of the whole problem, or more than 40 quadratic models of its cones.
     IterationLimit,
     /// No point satisfies all rows and cones, or a cone has no inside.
     Infeasible,
@@ -93,6 +97,9 @@ impl fmt::Display for Failure {
 impl core::error::Error for Failure {}
 
 /// The solver and its memory.
+///
+/// Two instances of one method, so that the loops have constant bounds: 7 variables for a problem
+/// of one arm, 14 for one of two.
 #[derive(Clone, Debug)]
 pub struct ActiveSet {
     one_arm: Method<VARIABLES_ONE_ARM>,

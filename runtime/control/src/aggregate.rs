@@ -3,6 +3,11 @@
 //!
 //! Source: ACT's temporal ensembling (weights `exp(-m i)`, `i = 0` the oldest prediction), by due
 //! time instead of by query count, so that late and missing chunks do no harm.
+//!
+//! With `w_i = exp(-m i)` and `p_i` the targets at one instant: the position is
+//! `sum w_i p_i / sum w_i`, the rotation the weighted sum of quaternions brought to one hemisphere
+//! and normalised, the jaw that of the newest chunk, without a mean. `i` counts only chunks that
+//! cover the instant. A positive `m` favours the oldest prediction, a negative one the newest.
 
 use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{ARMS_MAX, Chunk, TimeNs, TipTarget, count};
@@ -35,7 +40,10 @@ pub enum Aggregation {
 #[derive(Debug)]
 pub struct Aggregator {
     mode: Aggregation,
+    /// `exp(-decay * i)`; all 1 in the other modes.
     weights: [f64; RING],
+    /// `RING` slots at all times, blank where nothing was put. Of [`Aggregation::WholeChunk`] only
+    /// the first two are used.
     ring: Vec<Chunk>,
     /// Slot that the next chunk goes into.
     next: usize,
@@ -101,6 +109,8 @@ impl Aggregator {
     }
 
     /// When the newest chunk's observation was taken.
+    ///
+    /// None without a chunk. The caller compares it with the age at which an arm stops following.
     #[must_use]
     pub fn newest_observed_at(&self) -> Option<TimeNs> {
         let newest = self.count.checked_sub(1)?;
@@ -115,6 +125,9 @@ impl Aggregator {
     ///
     /// A chunk that ends between the two stays at its last target. `None` past the horizon of every
     /// chunk.
+    ///
+    /// Each is interpolated between two steps of a chunk: positions and jaw linearly, rotations
+    /// along the shorter arc. Costs one interpolation a chunk that covers `at`, at most 128.
     #[must_use]
     pub fn targets(&self, at: TimeNs, ahead: TimeNs) -> Option<(TipTarget, TipTarget)> {
         let both = |chunk: &Chunk| Some((in_chunk(chunk, at)?, in_chunk_or_last(chunk, ahead)?));
@@ -188,10 +201,13 @@ impl Aggregator {
         self.ring.get(slot)
     }
 
+    /// The `rank`th oldest of the `count` chunks in the ring.
     fn by_age(&self, rank: usize) -> &Chunk {
         &self.ring[(self.next + RING - self.count + rank) % RING]
     }
 
+    /// `both` gives a chunk's targets at the two instants; both means use the same weights, so that
+    /// their difference is a velocity of the same blend.
     fn ensemble(
         &self,
         both: impl Fn(&Chunk) -> Option<(TipTarget, TipTarget)>,
@@ -267,6 +283,9 @@ impl Blend {
 }
 
 /// Index and fraction of the step that `at` falls into, if the chunk covers it.
+///
+/// The index is `floor((at - observed_at) / step)`. The horizon ends with the last target, which is
+/// included.
 fn place(chunk: &Chunk, at: TimeNs) -> Option<(usize, f64)> {
     let last = chunk.valid_targets().len().checked_sub(1)?;
     if at < chunk.observed_at || chunk.step_ns == 0 {
@@ -286,6 +305,7 @@ fn place(chunk: &Chunk, at: TimeNs) -> Option<(usize, f64)> {
     Some((index, fraction))
 }
 
+/// Interpolated at `at`; none outside the chunk's horizon.
 fn in_chunk(chunk: &Chunk, at: TimeNs) -> Option<TipTarget> {
     let (index, fraction) = place(chunk, at)?;
     let targets = chunk.valid_targets();

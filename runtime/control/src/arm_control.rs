@@ -19,12 +19,18 @@ use crate::kinematics::forward;
 const START_PACE: f64 = 0.1;
 
 /// One arm's mode, faults and chunks.
+///
+/// In a tick: [`ArmControl::observe`] first, then [`ArmControl::plan`], then the filter, smoother
+/// and guard of the controller, and [`ArmControl::release`] at the end.
 #[derive(Debug)]
 pub(super) struct ArmControl {
+    /// Changed by [`ArmControl::change`] and by a fault alone.
     pub(super) state: OperatingState,
+    /// A valid measurement has arrived; it stays so.
     homed: bool,
     /// Whether the drives hold torque.
     pub(super) powered: bool,
+    /// The first one since the arm last became DISABLED: later ones are mostly its consequences.
     pub(super) fault: Option<Fault>,
     /// What was commanded last.
     pub(super) commanded: MotionState,
@@ -33,6 +39,7 @@ pub(super) struct ArmControl {
     pub(super) gate: Gate,
     aggregator: Aggregator,
     tracking: Tracking,
+    /// When the arm last became enabled, also from PAUSED: the soft start counts from here.
     enabled_at: TimeNs,
     /// The operator's share of the speed limits.
     speed: f64,
@@ -45,6 +52,7 @@ pub(super) struct ArmControl {
     /// Where the instrument is measured in this tick, if it holds torque.
     pub(super) measured: Option<Instrument>,
     stale_ns: u64,
+    /// At least a tick, since it is divided by.
     lookahead_ns: u64,
     soft_start_ns: u64,
 }
@@ -55,6 +63,8 @@ pub(super) struct Plan {
     pub(super) gate: Option<GateDecision>,
     pub(super) target: Option<TipTarget>,
     /// Velocity of each axis, rad/s (m/s).
+    ///
+    /// Zero without a target: the arm then brakes under the filter, and still counts as following.
     pub(super) nominal: Axes,
     /// Whether the arm follows; otherwise it comes to rest.
     pub(super) follows: bool,
@@ -190,6 +200,8 @@ impl ArmControl {
         }
     }
 
+    /// Finds the fault of a measurement: none, not finite, out of the mechanism's range, or too far
+    /// from the command. Without torque the command is put where the arm is; true then.
     fn look_at(&mut self, measured: &Result<ArmState, ArmError>) -> bool {
         self.measured = None;
         let fault = match measured {
@@ -236,6 +248,9 @@ impl ArmControl {
         })
     }
 
+    /// Becoming enabled drops all chunks and gives the drives torque; from DISABLED the gate
+    /// forgets the order of the chunks as well. Torque is taken away in [`ArmControl::release`], at
+    /// rest.
     pub(super) fn change(&mut self, event: Event, now: TimeNs) {
         let before = self.state;
         self.state = next(before, event);
@@ -280,6 +295,7 @@ impl ArmControl {
         }
     }
 
+    /// None for the chunk that was judged last, which callers may hand over again in every tick.
     fn take(&mut self, chunk: &Chunk, now: TimeNs) -> Option<GateDecision> {
         let tip = forward(&self.commanded.joints());
         let verdict = self.gate.judge(chunk, now, &tip)?;
@@ -289,6 +305,8 @@ impl ArmControl {
         Some(verdict)
     }
 
+    /// Where the tip should be now and after the look-ahead; none without chunks, past their
+    /// horizons, or if the newest observation is older than `stale_ns`.
     fn targets(&mut self, now: TimeNs) -> Option<(TipTarget, TipTarget)> {
         self.aggregator.advance(now);
         let observed_at = self.aggregator.newest_observed_at()?;
@@ -300,6 +318,9 @@ impl ArmControl {
 
     /// The share of the speed limits that holds: the operator's, and less right after the arm was
     /// enabled.
+    ///
+    /// Rises linearly from [`START_PACE`] to 1 over the soft start, times the operator's share; 0
+    /// if that is 0.
     fn pace(&self, now: TimeNs) -> f64 {
         let since_s = TimeNs(now.since(self.enabled_at)).seconds();
         let ramp_s = TimeNs(self.soft_start_ns).seconds();

@@ -29,12 +29,13 @@ use crate::kinematics::forward;
 #[derive(Debug)]
 pub struct Controller<const ARMS: usize = 1> {
     pub(super) arms: [ArmControl; ARMS],
+    /// One for each arm: the soft start lowers the limits of one and not of the other.
     smoothers: [Smoother; ARMS],
     rows: Rows,
     filter: Filter,
     guard: Guard<ARMS>,
     config: ControlConfig,
-    /// When the newest tick was.
+    /// When the newest tick was. None before the first tick.
     newest: Option<TimeNs>,
     /// What a test breaks, to see what the rest is worth.
     #[cfg(test)]
@@ -207,6 +208,8 @@ impl<const ARMS: usize> Controller<ARMS> {
         })
     }
 
+    /// Plays the held stops for each missed period, until all arms rest. An interval below two
+    /// periods misses none.
     fn catch_up(&mut self, now: TimeNs) {
         let newest = self.newest.replace(now).unwrap_or(now);
         for _ in 1..now.since(newest) / TICK_NS {
@@ -232,6 +235,8 @@ impl<const ARMS: usize> Controller<ARMS> {
         }
     }
 
+    /// One problem for all arms. Without an arm that follows there is nothing to solve; one that
+    /// does not is in it with its velocities fixed at zero.
     fn filter(&mut self, plans: &[Plan; ARMS], stances: &[KinematicState; ARMS]) -> Filtered {
         if !plans.iter().any(|plan| plan.follows) {
             return Filtered::AT_REST;
@@ -259,6 +264,9 @@ impl<const ARMS: usize> Controller<ARMS> {
         filtered
     }
 
+    /// The filtered velocity, smoothed for one tick under limits that the pace lowers.
+    /// `Request::Follow(None)` if the smoother finds no way, which the guard answers with the held
+    /// stop.
     fn request(&mut self, arm: usize, plan: &Plan, filtered: &Filtered) -> Request {
         if !plan.follows {
             return Request::Stop;
@@ -273,6 +281,8 @@ impl<const ARMS: usize> Controller<ARMS> {
         Request::Follow(smoother.step(&self.arms[arm].commanded, &velocity))
     }
 
+    /// The guard's part of the tick. In tests it may be taken out, to see what filter and smoother
+    /// alone are worth.
     fn decide(
         &mut self,
         commanded: &[MotionState; ARMS],
@@ -285,6 +295,8 @@ impl<const ARMS: usize> Controller<ARMS> {
         self.guard.next(commanded, requests)
     }
 
+    /// Takes over what the guard decided, releases the drives where they may be, and reports. What
+    /// the QP did and how many rows are active is reported of arms that follow alone.
     fn finish(
         &mut self,
         index: usize,

@@ -1,5 +1,8 @@
 //! How far a measured instrument is from the commanded one. Hot path: bounded, no allocation, no
 //! I/O, no lock.
+//!
+//! Compared are the present command and the present measurement, so the lag of drives and bus is in
+//! it. In each tick the guard and the filter get the larger of it and a decaying memory (`held`).
 
 use nalgebra::Vector3;
 
@@ -54,6 +57,8 @@ impl Deviation {
     }
 
     /// The larger of this deviation, decayed by a tick, and a `newer` one.
+    ///
+    /// Per part, `max(new, 0.9975 old)`: after 0.4 s a peak has fallen to 37 percent.
     #[must_use]
     pub fn held(&self, newer: &Self) -> Self {
         let hold = |before: f64, now: f64| {
@@ -72,6 +77,9 @@ impl Deviation {
 }
 
 /// The angle between two tip frames, rad.
+///
+/// `acos((trace(R_a' R_b) - 1) / 2)`; the columns of both are orthonormal, so the trace is a sum of
+/// three products.
 fn turn(one: &Frames, other: &Frames) -> f64 {
     let axes = |frames: &Frames| {
         let side = frames.wrist_yaw_axis.cross(&frames.approach);

@@ -5,6 +5,17 @@
 //! plus a little of the joints' and all of the jaw's, `d' P d / 2` with `d = x - x_nominal`,
 //! subject to the rows of [`super::rows`]. Two arms are one problem, coupled by the rows between
 //! them. The tip's speed and angular speed are second-order cones.
+//!
+//! Of one arm, with `J` its tip Jacobian, `S` the diagonal of the axes' velocity limits and `W`
+//! that of `1 / v_tip^2` (three times) and `1 / w_tip^2` (three times), the block of `P` is
+//! `S J' W J S + joint_weight I` for the joints and 1 for the jaw. So a change of the tip by its
+//! whole speed limit costs as much as one of the jaw by its own, and the small joint weight keeps
+//! `P` positive definite where `J` is singular.
+//!
+//! A bound `low <= u <= high` reads `d <= (high - u_nominal) / v_max` and
+//! `-d <= (u_nominal - low) / v_max`; a row of geometry `a . u <= b` reads
+//! `(S a / v_tip) . d <= (b - a . u_nominal) / v_tip`; a cone `|M u| <= r` is divided by its whole
+//! limit.
 
 use nalgebra::SMatrix;
 
@@ -30,6 +41,9 @@ pub struct Problem {
     /// `P`, of which the first `variables` rows and columns count.
     pub hessian: [[f64; VARIABLES_MAX]; VARIABLES_MAX],
     /// Bounds, two an axis, then geometry.
+    ///
+    /// The upper bound of an axis comes before its lower one. At most
+    /// `2 * VARIABLES_MAX + GEOMETRY_MAX`.
     pub rows: Vec<LinearRow>,
     /// Speed and angular speed of each tip.
     pub cones: Vec<Cone>,
@@ -65,10 +79,15 @@ pub struct Filtered {
     /// Velocities of all axes, rad/s (m/s); zero if the filter failed.
     pub velocity: Velocities,
     /// How they came about.
+    ///
+    /// With [`QpOutcome::Failed`] the caller brakes: zero velocity satisfies every row.
     pub outcome: QpOutcome,
     /// Rows that they touch.
     pub rows_active: u32,
     /// Length of the change of each arm in units of its velocity limits.
+    ///
+    /// Euclidean, over joints and jaw; 0 for an arm that passed unchanged. Where the filter failed,
+    /// the length of the whole nominal velocity.
     pub correction: [f64; ARMS_MAX],
 }
 
@@ -87,9 +106,11 @@ impl Filtered {
 pub struct Filter {
     solver: Box<ActiveSet>,
     problem: Problem,
+    /// Of the last QP that was solved, in scaled units; kept for a second opinion.
     solution: Velocities,
     scale: Velocities,
     tip_speed_m_s: f64,
+    /// The diagonal of `W`: s²/m² three times, then s²/rad².
     twist_weights: [f64; 6],
     joint_weight: f64,
     iterations_max: u32,
@@ -123,6 +144,9 @@ impl Filter {
     }
 
     /// The velocities nearest to `nominal` that satisfy `rows`, which were filled for `stances`.
+    ///
+    /// Costs one check of all rows in most ticks; the QP is built and solved only if a row is
+    /// violated. A solution is checked against the rows that it came from before it counts.
     pub fn filter(
         &mut self,
         nominal: &Velocities,

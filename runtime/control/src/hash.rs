@@ -1,10 +1,15 @@
 //! One number for all commands of a run, and one for all inputs. Hot path: bounded, no allocation,
 //! no I/O, no lock.
+//!
+//! Numbers go in by their bits, so `0.0` and `-0.0` differ, and two NaN are the same only with the
+//! same payload. Each word is taken in from its lowest byte on. The hash tells runs apart; it is no
+//! protection against somebody who wants a collision.
 
 use hal::{ArmCommand, ArmError, ArmState, Chunk, TimeNs};
 
 use super::mode::OperatorEvent;
 
+/// FNV-1a's offset basis and prime for 64 bits (Fowler, Noll and Vo).
 const OFFSET: u64 = 0xcbf2_9ce4_8422_2325;
 const PRIME: u64 = 0x0000_0100_0000_01b3;
 
@@ -17,6 +22,7 @@ impl Fnv1a {
         Self(OFFSET)
     }
 
+    /// Eight rounds of `(hash ^ byte) * prime`.
     fn word(&mut self, word: u64) {
         for byte in word.to_le_bytes() {
             self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(PRIME);

@@ -3,6 +3,11 @@
 //!
 //! Zero velocity satisfies every row in every state, so that the filter always has an answer:
 //! braking is always allowed, and a boundary that has been passed only forbids going further.
+//!
+//! A row of geometry bounds the speed towards a boundary by its distance (a linear control barrier
+//! function): with the unit normal `n` out of the boundary, the point's Jacobian `J` and its
+//! distance `h`, `-n' J u <= alpha max(h - margin, 0)`. In continuous time `h - margin` then decays
+//! no faster than `exp(-alpha t)`.
 
 mod bounds;
 mod geometry;
@@ -80,10 +85,15 @@ pub struct Rows {
     /// Number of axes of all arms.
     pub variables: usize,
     /// Lowest velocities, rad/s (m/s), not above zero.
+    ///
+    /// Zero in both for an arm that does not move: its variables are fixed.
     pub low: Velocities,
     /// Highest velocities, rad/s (m/s), not below zero.
     pub high: Velocities,
     /// Boundaries in space, always in the same order for the same configuration.
+    ///
+    /// Arm by arm the workspace (three points of six faces), then the forbidden regions link by
+    /// link, then the seven pairs of links. `names` has the same order.
     pub geometry: Vec<Row>,
     /// Speed and angular speed of each tip.
     pub cones: Vec<SpeedCone>,
@@ -117,6 +127,8 @@ impl Rows {
     }
 
     /// The rows of `arms`, one or two.
+    ///
+    /// Replaces what was there; allocates nothing.
     pub fn fill(&mut self, config: &ControlConfig, arms: &[RowInput<'_>]) {
         self.geometry.clear();
         self.cones.clear();
@@ -142,6 +154,8 @@ impl Rows {
         }
     }
 
+    /// Two cones an arm: rows 0 to 2 of the tip Jacobian (m/s), then rows 3 to 5 (rad/s), each
+    /// below the limit times `speed_fraction` times the pace.
     fn speeds(&mut self, config: &ControlConfig, first: usize, arm: &RowInput<'_>) {
         // The bounds of its axes hold an arm whose pace is zero; a cone of no width would only make
         // the problem harder.
@@ -222,6 +236,7 @@ impl Rows {
 }
 
 impl Row {
+    /// `coefficients . u - bound`, m/s; negative within.
     fn excess(&self, velocity: &Velocities) -> f64 {
         dot(&self.coefficients, velocity) - self.bound
     }
@@ -262,6 +277,7 @@ fn approach_bound(distance_m: f64, deviation_m: f64, config: &ControlConfig) -> 
     config.filter.alpha_1_s * (distance_m - margin_m).max(0.0)
 }
 
+/// Over all 14 axes; those of a missing arm are zero.
 pub(super) fn dot(a: &Velocities, b: &Velocities) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }

@@ -1,4 +1,8 @@
 //! The controller's configuration files as they are written; `config.rs` checks what they say.
+//!
+//! Keys carry their unit. An unknown key is an error, so that a misspelt limit is not silently
+//! missing; what may be left out says so with `default`. Ranges are checked in `config/sections.rs`
+//! and `config/scene.rs`.
 
 use serde::Deserialize;
 
@@ -15,6 +19,8 @@ pub(super) struct ControlFile {
     pub(super) policy: PolicyTable,
 }
 
+/// `[policy]`: supervision of a policy process. The only table of `control.toml` that may be
+/// missing.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PolicyTable {
@@ -36,6 +42,7 @@ impl Default for PolicyTable {
     }
 }
 
+/// `[limits]`: of the tip, and one table an axis.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct LimitsTable {
@@ -50,6 +57,7 @@ pub(super) struct LimitsTable {
     pub(super) jaw: RotaryAxis,
 }
 
+/// Of a joint that turns, or of the jaw.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RotaryAxis {
@@ -60,6 +68,7 @@ pub(super) struct RotaryAxis {
     pub(super) jerk_rad_s3: f64,
 }
 
+/// Of the insertion. It needs keys of its own: the same numbers in another unit would pass.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct LinearAxis {
@@ -78,6 +87,7 @@ pub(super) struct AggregationTable {
     pub(super) stale_s: f64,
 }
 
+/// `"ensemble"`, `"whole_chunk"` or `"newest"`.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum AggregationMode {
@@ -141,6 +151,7 @@ const fn ends_run() -> bool {
     true
 }
 
+/// A task's `safety.toml`. Lengths are m, in the scene's frame.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SafetyFile {
@@ -173,6 +184,7 @@ pub(super) struct BetweenArmsTable {
     pub(super) tip_to_shaft_m: f64,
 }
 
+/// `[[arm]]`: the pose of its remote centre, and its workspace as a box along the scene's axes.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ArmTable {
@@ -183,6 +195,7 @@ pub(super) struct ArmTable {
     pub(super) workspace_max_m: [f64; 3],
 }
 
+/// `[[forbidden]]`, told apart by the key `shape`.
 #[derive(Debug, Deserialize)]
 #[serde(tag = "shape", rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum RegionTable {

@@ -1,5 +1,9 @@
 //! Clarabel on the filter's problems: another algorithm, by other people, for tests and for
 //! replays. It allocates, so the tick does without it.
+//!
+//! Clarabel solves `min x' P x / 2 + q' x` subject to `A x + s = b`, `s` in a product of cones.
+//! With `q = 0` a linear row is `(c, b)` in the nonnegative cone, and a cone is the four rows
+//! `[0; -M]`, `[r; o]` in the second-order cone.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
@@ -100,11 +104,13 @@ pub fn compare(problem: &Problem, answer: &[f64; VARIABLES_MAX]) -> Option<Compa
     })
 }
 
+/// `d' P d / 2`.
 fn objective(problem: &Problem, change: &[f64; VARIABLES_MAX]) -> f64 {
     let lines = problem.hessian.iter().zip(change);
     lines.map(|(line, x)| x * dot(line, change)).sum::<f64>() / 2.0
 }
 
+/// Over rows and cones; 0 if all hold.
 fn violation(problem: &Problem, change: &[f64; VARIABLES_MAX]) -> f64 {
     let row = |row: &LinearRow| dot(&row.coefficients, change) - row.bound;
     let cone = |cone: &Cone| {

@@ -4,11 +4,19 @@
 //! From velocity `v` and acceleration `a` an axis ramps its acceleration against the motion, may
 //! hold it at the limit, and ramps it back to zero. The profile is the same as a time-optimal
 //! generator's for a target velocity of zero, but shares no code with it.
+//!
+//! With `a_max` and `j` the limits, `v` and `a` taken towards the side of `v + a |a| / (2 j)`: the
+//! acceleration goes to `-min(sqrt(j v + a^2 / 2), a_max)`, is held for
+//! `(v + (a^2 - 2 a_max^2) / (2 j)) / a_max` if it got to `-a_max`, and returns to zero. With `a`
+//! of the same sign as `v` the axis is faster before it is slower.
 
 use super::motion::{AXES, Axes, AxisLimits, MotionState};
 use super::snapshot::words;
 
 /// A moment of a profile, after which the jerk is constant.
+///
+/// Jerk holds from here to the next knot; of the last one it is zero, as are velocity and
+/// acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Knot {
     time_s: f64,
@@ -27,6 +35,7 @@ words!(Knot {
 });
 
 impl Knot {
+    /// Position, velocity and acceleration at `time_s` of the profile, by the cubic of this phase.
     fn after(&self, time_s: f64) -> (f64, f64, f64) {
         let t = time_s - self.time_s;
         let acceleration = self.acceleration + self.jerk * t;
@@ -47,6 +56,9 @@ words!(AxisStop { knots: [Knot; 4] });
 
 impl AxisStop {
     /// The stop from position, velocity and acceleration under `limits`.
+    ///
+    /// Position and velocity limits do not enter: whether the stop keeps them is for the caller to
+    /// check. An acceleration above its limit is brought down with the full jerk.
     #[must_use]
     pub fn new(position: f64, velocity: f64, acceleration: f64, limits: &AxisLimits) -> Self {
         let (a_max, jerk) = (limits.acceleration, limits.jerk);
@@ -98,6 +110,8 @@ impl AxisStop {
     }
 
     /// Position, velocity and acceleration `time_s` into the stop.
+    ///
+    /// After the end it stays where it rests.
     #[must_use]
     pub fn at(&self, time_s: f64) -> (f64, f64, f64) {
         let knot = self
@@ -129,6 +143,8 @@ impl AxisStop {
     }
 
     /// Lowest and highest position from here to rest, exactly.
+    ///
+    /// The extremes of the four knots and of the places where the velocity passes zero.
     #[must_use]
     pub fn position_range(&self) -> (f64, f64) {
         let mut low = self.knots[0].position;

@@ -1,5 +1,10 @@
 //! How fast may an axis be and still stop in time? Hot path: bounded, no allocation, no I/O, no
 //! lock.
+//!
+//! From speed `v` at zero acceleration the jerk-limited stop covers `v^2 / (2 a) + v a / (2 j)` if
+//! it reaches the acceleration limit, that is if `v j >= a^2`, and `v sqrt(v / j)` otherwise. The
+//! velocity falls symmetrically about half of it, so this is half the speed times the time,
+//! `v / a + a / j` or `2 sqrt(v / j)`.
 
 /// Distance that an axis needs to stop from `speed` at zero acceleration, rad (m), at full
 /// `acceleration` and `jerk`.
@@ -14,6 +19,9 @@ pub fn stop_distance(speed: f64, acceleration: f64, jerk: f64) -> f64 {
 
 /// Highest speed from which an axis stops within `distance`: the inverse of [`stop_distance`], 0
 /// for negative distances.
+///
+/// With `c = a^2 / j`: `sqrt(c^2 / 4 + 2 a d) - c / 2` from `d = a c / j` on, `(d^2 j)^(1/3)`
+/// below.
 #[must_use]
 pub fn viable_speed(distance: f64, acceleration: f64, jerk: f64) -> f64 {
     let distance = distance.max(0.0);

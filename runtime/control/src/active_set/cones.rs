@@ -1,4 +1,8 @@
 //! The second-order cones `|M d + o| <= r` and the half-spaces that support them. Hot path.
+//!
+//! Of a cone at a point `x` with `v = M x + o`, `n = v / |v|` and `g = M' n` the supporting
+//! half-space is `g . x <= r - n . o`. It contains the whole cone, by the Cauchy-Schwarz
+//! inequality, whatever `x` is.
 
 use super::factors::{add_scaled, dot};
 use super::rows::UnitRow;
@@ -30,10 +34,14 @@ pub(super) struct Cones<const N: usize> {
     used: usize,
 }
 
+/// A cone with the columns that this size of the method has; the others are zero in the problem.
 #[derive(Clone, Copy, Debug)]
 struct Surface<const N: usize> {
+    /// `M`, row by row.
     matrix: [[f64; N]; 3],
+    /// `o`: the value at `x = 0`.
     offset: [f64; 3],
+    /// `r`, positive: [`Cones::load`] refuses others.
     radius: f64,
 }
 
@@ -44,6 +52,7 @@ impl<const N: usize> Surface<N> {
         radius: 0.0,
     };
 
+    /// `M x + o`.
     fn value(&self, x: &[f64; N]) -> [f64; 3] {
         let mut value = self.offset;
         for (value, row) in value.iter_mut().zip(&self.matrix) {
@@ -52,6 +61,7 @@ impl<const N: usize> Surface<N> {
         value
     }
 
+    /// `M' direction`, the gradient of `|M x + o|` where that vector has this unit direction.
     fn gradient(&self, direction: &[f64; 3]) -> [f64; N] {
         let mut gradient = [0.0; N];
         for (along, row) in direction.iter().zip(&self.matrix) {
@@ -60,6 +70,8 @@ impl<const N: usize> Surface<N> {
         gradient
     }
 
+    /// The half-space with the normal `M' direction`, scaled to unit length; none where the
+    /// gradient vanishes against the matrix, so that no change of `x` brings the length down.
     fn cut(&self, cone: usize, direction: [f64; 3]) -> Option<Cut<N>> {
         let gradient = self.gradient(&direction);
         let squared = dot(&gradient, &gradient);
@@ -97,6 +109,10 @@ impl<const N: usize> Cones<N> {
     }
 
     /// Takes over `cones`.
+    ///
+    /// # Errors
+    /// [`Failure::TooLarge`] beyond [`CONES_MAX`], [`Failure::NotFinite`], and
+    /// [`Failure::Infeasible`] for a radius that is not positive.
     pub(super) fn load(&mut self, cones: &[Cone]) -> Result<(), Failure> {
         if cones.len() > CONES_MAX {
             return Err(Failure::TooLarge);
@@ -162,6 +178,9 @@ impl<const N: usize> Cones<N> {
     /// Adds the second derivative of `multiplier |M d + o|` to `hessian`, at the boundary nearest
     /// to `x`. There the cone curves more than at an `x` outside, so the model is stiffer and its
     /// steps fall back to the boundary.
+    ///
+    /// The second derivative is `multiplier (M' M - g g') / |M x + o|`, with `r` for the length.
+    /// None where the value is zero, which has no direction.
     pub(super) fn add_curvature(
         &self,
         cone: usize,

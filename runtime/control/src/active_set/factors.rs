@@ -1,5 +1,9 @@
 //! The factors that a dual active-set method keeps: `J' G J = 1` and `J' N = [R; 0]`, `N` the
 //! active rows. Hot path.
+//!
+//! `J` and `R` are those of Goldfarb and Idnani (1983). With `J = [J1 J2]` split after the `count`
+//! active rows, the columns of `J2` span the moves that no active row notices. Start costs
+//! `O(N^3)`, adding or removing a row `O(N^2)`.
 
 use super::Failure;
 
@@ -22,6 +26,8 @@ pub(super) fn add_scaled<const N: usize>(y: &mut [f64; N], factor: f64, x: &[f64
 }
 
 /// A row seen from the factors: `J' c`, and its part that the active rows leave free.
+///
+/// Computed once for an entering row, and used for the step, the multipliers and the update.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen<const N: usize> {
     /// `J' c`.
@@ -41,6 +47,7 @@ pub(super) struct Factors<const N: usize> {
     triangle: [[f64; N]; N],
     /// One over the diagonal of `R`.
     diagonal_inverse: [f64; N],
+    /// Active rows, at most `N`.
     count: usize,
 }
 
@@ -56,6 +63,11 @@ impl<const N: usize> Factors<N> {
     }
 
     /// Starts anew from `hessian`, of which the lower triangle counts, without active rows.
+    ///
+    /// Cholesky, `G = L L'`, and `J = L^-T` by forward substitution alongside.
+    ///
+    /// # Errors
+    /// [`Failure::NotFinite`] or [`Failure::NotPositiveDefinite`].
     pub(super) fn start(&mut self, hessian: &[[f64; N]; N]) -> Result<(), Failure> {
         self.triangle = [[0.0; N]; N];
         self.count = 0;
@@ -116,6 +128,9 @@ impl<const N: usize> Factors<N> {
     }
 
     /// Makes a row active, the last one; false if it depends on those that are.
+    ///
+    /// A Householder reflection of `J2` turns `J2' c` onto the first of its columns; its length, up
+    /// to sign, is the new diagonal entry of `R`.
     pub(super) fn add(&mut self, seen: &Seen<N>) -> bool {
         let first = self.count;
         if seen.free_squared <= 0.0 || first >= N {
@@ -157,6 +172,11 @@ impl<const N: usize> Factors<N> {
     }
 
     /// Makes the active row `place` inactive; those behind it move up.
+    ///
+    /// Givens rotations restore the triangle that the missing column leaves.
+    ///
+    /// # Panics
+    /// If no active row is there.
     pub(super) fn remove(&mut self, place: usize) {
         assert!(place < self.count, "no such active row");
         self.triangle.copy_within(place + 1..self.count, place);
@@ -220,6 +240,7 @@ impl<const N: usize> Factors<N> {
         (step, self.back_substituted(pull))
     }
 
+    /// `R^-1 right`; only the first `count` entries count.
     fn back_substituted(&self, mut right: [f64; N]) -> [f64; N] {
         let mut solution = [0.0; N];
         for k in (0..self.count.min(N)).rev() {

@@ -1,4 +1,12 @@
 //! The dual active-set method itself. Hot path.
+//!
+//! One step for an entering row `c` with violation `s = c . x - b > 0`: the primal direction is
+//! `z = J2 J2' c`, the active rows' share in `c` is `r = R^-1 J1' c`. The full step is
+//! `s / (c . z)`, the longest one that keeps every multiplier `u` from turning negative is
+//! `min u_i / r_i` over `r_i > 0`. The shorter one is made: `x -= t z`, `u -= t r`, and `t` is
+//! added to the entering multiplier. After a full step the row is active; after a partial one the
+//! row whose multiplier vanished leaves. If `z` is zero and no `r_i` is positive, there is no
+//! feasible point.
 
 use super::cones::{Cones, Cut, Touch};
 use super::factors::{Factors, Seen, add_scaled, dot};
@@ -15,6 +23,7 @@ const SHARE_MIN: f64 = 1e-12;
 /// A row that holds with equality, and how hard it pushes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Active<const N: usize> {
+    /// With unit normal, so that its multiplier is in the objective's unit per unit of distance.
     pub(super) row: UnitRow<N>,
     /// Not negative.
     pub(super) multiplier: f64,
@@ -56,8 +65,12 @@ pub(super) enum Entry {
 }
 
 /// One problem of at most `N` variables, and the way to its solution.
+///
+/// Filled anew by [`Method::load`]; nothing of an earlier problem counts, which makes the answer a
+/// function of the arguments alone.
 #[derive(Clone, Debug)]
 pub(super) struct Method<const N: usize> {
+    /// `G`, without the curvature of cones.
     pub(super) hessian: [[f64; N]; N],
     pub(super) rows: Rows<N>,
     pub(super) cones: Cones<N>,
@@ -70,9 +83,12 @@ pub(super) struct Method<const N: usize> {
     pub(super) curved: bool,
     /// Multipliers of the cones, as the models' curvature remembers them.
     pub(super) held: [f64; CONES_MAX],
+    /// The present point: the optimum of the model on the rows that are active.
     pub(super) x: [f64; N],
+    /// In the order of the columns of `R`; the first `active_count` count.
     pub(super) active: [Active<N>; N],
     pub(super) active_count: usize,
+    /// Since the problem was loaded, models of cones included.
     pub(super) iterations: u32,
     pub(super) iterations_max: u32,
 }
@@ -98,6 +114,8 @@ impl<const N: usize> Method<N> {
     }
 
     /// Takes over `hessian`, with the identity past `variables`.
+    ///
+    /// The identity makes the spare variables positive definite and independent of the others.
     fn load_hessian(
         &mut self,
         hessian: &[[f64; VARIABLES_MAX]; VARIABLES_MAX],
@@ -159,6 +177,9 @@ impl<const N: usize> Method<N> {
     }
 
     /// Makes violated rows and half-spaces active, worst first, until none is left.
+    ///
+    /// Before it calls the point optimal it computes it anew from the factors and looks once more,
+    /// since the steps have added rounding.
     pub(super) fn settle(&mut self) -> Result<Entry, Failure> {
         // The point comes from the factors, at the start as well.
         let mut refreshed = true;
@@ -255,6 +276,8 @@ impl<const N: usize> Method<N> {
         first
     }
 
+    /// Makes `entering` the last of the active rows, unless the factors find it dependent on the
+    /// others.
     pub(super) fn add(&mut self, entering: Active<N>, seen: &Seen<N>) {
         if self.factors.add(seen) {
             self.active[self.active_count] = entering;
@@ -262,6 +285,7 @@ impl<const N: usize> Method<N> {
         }
     }
 
+    /// Takes the active row at `place` out of the factors and the list.
     pub(super) fn remove(&mut self, place: usize) {
         self.factors.remove(place);
         self.active[place..self.active_count].rotate_left(1);
@@ -289,6 +313,9 @@ impl<const N: usize> Method<N> {
     }
 
     /// Ends at a point that a dependent row does not let improve, if it satisfies everything else.
+    ///
+    /// # Errors
+    /// [`Failure::Infeasible`] if a row or a cone is violated by more than [`TOLERANCE_DEPENDENT`].
     fn accept_dependent(&self) -> Result<(), Failure> {
         let tolerance = TOLERANCE_DEPENDENT * (1.0 + largest(&self.x));
         if self.rows.worst(&self.x).0 <= tolerance && self.cones.hold(&self.x, tolerance) {
@@ -298,6 +325,10 @@ impl<const N: usize> Method<N> {
         }
     }
 
+    /// Uses up one of the problem's iterations.
+    ///
+    /// # Errors
+    /// [`Failure::IterationLimit`] if none is left.
     pub(super) fn count_iteration(&mut self) -> Result<(), Failure> {
         if self.iterations >= self.iterations_max {
             return Err(Failure::IterationLimit);

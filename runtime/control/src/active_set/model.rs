@@ -1,5 +1,10 @@
 //! Cones met by a sequence of quadratic models with the cones' curvature: Newton's method with
 //! inequalities. Hot path.
+//!
+//! The model at `x_k` has the Hessian `G + sum_j m_j K_j`, with `m_j` the multiplier of cone `j`
+//! and `K_j` its curvature there, and the slope `(G - H) x_k` at zero, which makes its gradient at
+//! `x_k` that of the true objective. Its constraints are the linear rows and one supporting
+//! half-space a cone.
 
 use super::CONES_MAX;
 use super::Failure;
@@ -20,6 +25,13 @@ const TOLERANCE: f64 = 1e-12;
 
 impl<const N: usize> Method<N> {
     /// From the optimum without cones to the one with them.
+    ///
+    /// Ends when a step is shorter than [`CONVERGED`], the model was exact and all cones hold. If
+    /// they do not, the faded multipliers are dropped and it goes on.
+    ///
+    /// # Errors
+    /// [`Failure::IterationLimit`] after [`MODELS_MAX`] models, and what [`Method::settle`]
+    /// returns.
     pub(super) fn meet_cones(&mut self) -> Result<Entry, Failure> {
         for _ in 0..MODELS_MAX {
             self.count_iteration()?;
@@ -85,6 +97,9 @@ impl<const N: usize> Method<N> {
     }
 
     /// The multiplier of each cone.
+    ///
+    /// The active multiplier is that of the unit row; over the gradient's length it is that of
+    /// `|M x + o| <= r`.
     fn forces(&self) -> [f64; CONES_MAX] {
         let mut forces = [0.0; CONES_MAX];
         for active in self.active.iter().take(self.active_count) {

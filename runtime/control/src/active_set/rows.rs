@@ -3,11 +3,14 @@
 
 use super::{Failure, LinearRow, ROWS_MAX};
 
+/// Rows that are evaluated together: four doubles fill a vector register of 256 bits.
 const LANES: usize = 4;
 /// A row without coefficients may be short of zero by rounding.
 const EMPTY_TOLERANCE: f64 = 1e-9;
 
 /// Four rows side by side.
+///
+/// Column-major: `coefficients[variable][lane]`.
 #[derive(Clone, Copy, Debug)]
 struct Lanes<const N: usize> {
     coefficients: [[f64; LANES]; N],
@@ -29,6 +32,8 @@ impl<const N: usize> Lanes<N> {
         self.bound[lane] = row.bound * scale;
     }
 
+    /// `c . x - b` of each lane; minus infinity where there is no row, so that it never is the
+    /// worst.
     fn violations(&self, x: &[f64; N]) -> [f64; LANES] {
         let mut violations = self.bound.map(|bound| -bound);
         for (x, coefficients) in x.iter().zip(&self.coefficients) {
@@ -71,6 +76,12 @@ impl<const N: usize> Rows<N> {
     }
 
     /// Takes over `rows`, scaled.
+    ///
+    /// A row without coefficients is left out if zero satisfies it.
+    ///
+    /// # Errors
+    /// [`Failure::TooLarge`] beyond [`ROWS_MAX`], [`Failure::NotFinite`], and
+    /// [`Failure::Infeasible`] for an empty row that zero violates.
     pub(super) fn load(&mut self, rows: &[LinearRow]) -> Result<(), Failure> {
         if rows.len() > ROWS_MAX {
             return Err(Failure::TooLarge);

@@ -1,4 +1,9 @@
 //! How far arms are behind their commands, and what the margins must leave for it.
+//!
+//! A lag in time becomes one in space by a speed: with `v` the bound of a finger tip's speed, `g`
+//! what it gains during a stop, `T` the tick and `L` the drives' lag, the guard must keep
+//! `v T / 2 + g L` and the filter `v L` beyond that. A scene that has less is refused when it is
+//! loaded.
 
 use hal::config::{ConfigError, Source, number_text};
 use hal::joints::INSERTION;
@@ -31,6 +36,8 @@ pub(super) struct FingerSpeeds {
 }
 
 impl FingerSpeeds {
+    /// `full = v_tip + FINGER (w_tip + v_jaw / 2)`. What is gained adds up the axes' gains with the
+    /// levers of a chain that is stretched to `wrist_m`, and is capped at the tip's own limits.
     pub(super) fn new(
         tip_speed_m_s: f64,
         tip_angular_speed_rad_s: f64,
@@ -57,6 +64,9 @@ impl FingerSpeeds {
 }
 
 /// The speed that an axis gains during a stop until its acceleration has ended, rad/s (m/s).
+///
+/// With full acceleration at the stop's begin the jerk needs `a / j` to end it, in which the speed
+/// grows by `a^2 / (2 j)`.
 fn gained(axis: &AxisLimits) -> f64 {
     axis.velocity
         .min(axis.acceleration * axis.acceleration / (2.0 * axis.jerk))

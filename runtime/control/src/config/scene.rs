@@ -17,12 +17,20 @@ const SCENE_M: f64 = 1.0;
 
 /// What a task's file says, checked.
 pub(super) struct Scene {
+    /// One or two, named as `hal::ARM_NAMES`, in that order.
     pub(super) arms: Vec<ArmConfig>,
     pub(super) margins: Margins,
     pub(super) between_arms: Option<BetweenArms>,
     pub(super) jaw_closing_effort_n_m_max: f64,
 }
 
+/// Parses and checks a task's file. Regions are written once, in the scene's frame; every arm gets
+/// its own copy in its RCM frame, so that the checks of one arm need no other frame.
+///
+/// # Errors
+/// [`ConfigError`] for a text that does not parse, a number out of its range, an arm or a region
+/// without the name that it must have, arms too near to one another, or a region at a remote
+/// centre.
 pub(super) fn scene(source: &Source) -> Result<Scene, ConfigError> {
     let file: SafetyFile = source.parse()?;
     let effort = file.jaw.closing_effort_n_m_max;
@@ -46,6 +54,8 @@ pub(super) fn scene(source: &Source) -> Result<Scene, ConfigError> {
     })
 }
 
+/// `guard_m` 0.1 to 20 mm, `filter_m` from there to 20 mm, `recovery_m` 0.01 to 1 mm. Whether they
+/// hold the lag of the drives is checked later, when the speeds are known.
 fn margins(source: &Source, file: &SafetyFile) -> Result<Margins, ConfigError> {
     let margins = &file.margins;
     source.check_range("margins.guard_m", margins.guard_m, 1e-4, 0.02)?;
@@ -58,6 +68,7 @@ fn margins(source: &Source, file: &SafetyFile) -> Result<Margins, ConfigError> {
     })
 }
 
+/// Required with two arms, optional with one; gaps of 0 to 100 mm.
 fn between_arms(source: &Source, file: &SafetyFile) -> Result<Option<BetweenArms>, ConfigError> {
     let count = file.arm.len();
     if !(1..=2).contains(&count) {
@@ -128,6 +139,9 @@ fn check_entries(
 }
 
 /// Each arm must reach some place of its workspace.
+///
+/// A grid of 25³ places is tried, so a box that the arm grazes in less than a grid step may be
+/// refused.
 pub(super) fn check_reach(
     source: &Source,
     arms: &[ArmConfig],
@@ -166,6 +180,9 @@ fn reaches(workspace: &Block, axes: &[AxisLimits; AXES]) -> bool {
     (0..=PLACES).any(|x| (0..=PLACES).any(|y| (0..=PLACES).any(|z| reached(x, y, z))))
 }
 
+/// The workspace box is given in the scene's frame along its axes, and turned into the arm's, where
+/// it is a box in general orientation. `rpy` is roll about the fixed x, pitch about the fixed y,
+/// then yaw about the fixed z.
 fn arm(
     source: &Source,
     index: usize,
@@ -298,6 +315,7 @@ impl Entry<'_> {
         })
     }
 
+    /// `normal` points out of the region, and is normalised.
     fn half_space(&self, point_m: [f64; 3], normal: [f64; 3]) -> Result<Shape, ConfigError> {
         let point_m = self.place("point_m", point_m)?;
         let normal = self.place("normal", normal)?;

@@ -1,4 +1,7 @@
 //! The sections of the configuration files, each checked against its ranges.
+//!
+//! A number out of its range is a [`ConfigError`] with file, line, key, value and range. The ranges
+//! are what mechanism and controller can do at all; the shipped files are well within them.
 
 use hal::config::{ConfigError, Source, number_text};
 use hal::joints::INSERTION;
@@ -14,6 +17,8 @@ use crate::stop::AxisStop;
 /// The longest that an axis may take to come to rest, s: what waits for a stop counts on it.
 const STOP_S_MAX: f64 = 0.4;
 
+/// In joint order, then the jaw. Positions and velocities are bounded by the mechanism's own limits
+/// in `hal::psm`.
 pub(super) fn axes(source: &Source, file: &ControlFile) -> Result<[AxisLimits; AXES], ConfigError> {
     let limits = &file.limits;
     Ok([
@@ -100,6 +105,7 @@ fn check_stop(source: &Source, name: &str, limits: &AxisLimits) -> Result<(), Co
     Err(source.out_of_range(&format!("limits.{name}"), &found, &allowed))
 }
 
+/// The decay is checked in every mode and used in `ensemble` alone.
 pub(super) fn aggregation(source: &Source, file: &ControlFile) -> Result<Aggregation, ConfigError> {
     let decay = file.aggregation.decay;
     source.check_range("aggregation.decay", decay, -1.0, 1.0)?;
@@ -131,6 +137,7 @@ pub(super) fn gate(source: &Source, file: &ControlFile) -> Result<GateLimits, Co
     })
 }
 
+/// Rounded to the nearest; the caller has checked the range.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -161,6 +168,7 @@ pub(super) fn filter(source: &Source, file: &ControlFile) -> Result<FilterConfig
     })
 }
 
+/// `frozen_s` of exactly 0 means no limit; anything else must be 0.1 s to an hour.
 pub(super) fn supervision(source: &Source, file: &ControlFile) -> Result<Supervision, ConfigError> {
     let policy = &file.policy;
     source.check_range("policy.restarts", f64::from(policy.restarts), 0.0, 1000.0)?;

@@ -22,6 +22,8 @@ use crate::snapshot::{state, words};
 use crate::stop::Stop;
 
 /// A stop, the positions that it takes, and where its links are on the way.
+///
+/// `ranges` are exact, from the closed form; the sweep has 21 samples and bounds between them.
 #[derive(Clone, Debug)]
 struct Path {
     stop: Stop,
@@ -30,6 +32,9 @@ struct Path {
 }
 
 /// The limits of one arm, and the verified stop from where it is commanded to be.
+///
+/// Of each candidate first the step from the present state, then its stop's axes, both in closed
+/// form, then its stop in space; the first failure ends the check.
 #[derive(Clone, Debug)]
 pub(super) struct ArmGuard {
     axes: [AxisLimits; AXES],
@@ -46,6 +51,8 @@ pub(super) struct ArmGuard {
     /// them.
     ranges: [(f64, f64); AXES],
     held: Path,
+    /// Seconds of the held stop that were commanded; grows by a tick in [`ArmGuard::play`], 0 after
+    /// [`ArmGuard::commit`].
     played_s: f64,
     /// The last candidate's stop.
     fresh: Path,
@@ -244,6 +251,10 @@ impl ArmGuard {
     }
 
     /// Samples the candidate's stop and bounds what can happen between the samples.
+    ///
+    /// At most 20 intervals. Leaves the sweep in the scene's frame if arms are compared. A stop
+    /// that begins beyond a boundary goes out no further than by the recovery margin, and keeps
+    /// what it has come back.
     fn verify_in_space(&mut self) -> bool {
         let stop = self.fresh.stop;
         let mut before = Sample::new(&stop.at(0.0), &self.boundaries, &[true; CLEARANCES]);
@@ -307,6 +318,9 @@ impl ArmGuard {
     }
 
     /// Whether floors and tip speeds are kept between two samples.
+    ///
+    /// Collects into `least` what each clearance does not fall below, from which
+    /// [`ArmGuard::commit`] raises the floors.
     fn interval_keeps(
         &mut self,
         before: &Sample,
@@ -351,6 +365,10 @@ impl ArmGuard {
     }
 
     /// Whether the tip is slow enough between two samples.
+    ///
+    /// Speed: at most the faster end, or the mean of both plus what the acceleration allows in half
+    /// the gap. Turning: the faster end plus an eighth of the second derivative times the gap
+    /// squared.
     fn tip_keeps(&self, before: &Sample, after: &Sample, bounds: &Bounds) -> bool {
         let ends = (before.tip_speed_m_s, after.tip_speed_m_s);
         let speed = ends

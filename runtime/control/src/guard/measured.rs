@@ -1,5 +1,8 @@
 //! How near the measured instruments came to their boundaries. Hot path: bounded, no allocation, no
 //! I/O, no lock.
+//!
+//! The guard decides nothing by these figures: they are for the end of a run. What the guard keeps
+//! for a deviation (`allowances`) is here since both go through the same parts.
 
 use hal::ArmState;
 use serde::Serialize;
@@ -16,6 +19,7 @@ const BOUNDARIES: usize = 1 + FORBIDDEN_MAX;
 
 /// Names of the points that stay in the workspace, and of its faces.
 const POINTS: [&str; 3] = ["control_point", "left_finger_tip", "right_finger_tip"];
+/// In the order of `Block::clearances_m`.
 const SIDES: [&str; 6] = ["x_min", "y_min", "z_min", "x_max", "y_max", "z_max"];
 
 /// How near a measured instrument came to a boundary while it held torque.
@@ -36,7 +40,10 @@ pub struct MeasuredClearance {
 /// The smallest clearance of one boundary.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Nearest {
+    /// Infinite before the first tick with torque.
     clearance_m: f64,
+    /// Index among the boundary's parts: of the workspace `6 * point + side`, of a region the link,
+    /// of a pair the place in `KINDS`.
     part: usize,
     ticks_beyond: u64,
 }

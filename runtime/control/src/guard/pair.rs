@@ -24,8 +24,11 @@ use crate::snapshot::state;
 /// What two arms keep between them.
 #[derive(Clone, Debug)]
 pub(super) struct Pair {
+    /// From centre line to centre line: the configured gap and two radii.
     keep_m: Gaps,
     floor: Floor,
+    /// What verified stops must keep of each gap beyond that, m: the margin, or less where arms
+    /// were enabled too near.
     floors: Gaps,
     /// What the stops up to now kept of margin and deviations together.
     kept: Gaps,
@@ -154,6 +157,10 @@ impl Pair {
 
     /// What two stops leave of a gap at least, or `enough_m` of it, which does not matter, m; or
     /// something that is less than `floor_m`.
+    ///
+    /// In the common case one distance decides: the arms are further apart than both can travel.
+    /// Otherwise all 21 times 21 pairs of samples are looked at, but for those that the triangle
+    /// inequality rules out.
     fn least(
         &self,
         kind: usize,
@@ -245,7 +252,10 @@ impl Pair {
 /// samples is one for the stops.
 #[derive(Clone, Copy)]
 struct Low {
+    /// By the way: less how far both links can go from their nearer sample.
     by_way_m: f64,
+    /// By the bend: less how far acceleration and curvature can bend the distance below its chord;
+    /// minus infinity where the arms may touch.
     by_bend_m: f64,
 }
 

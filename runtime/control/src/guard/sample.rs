@@ -7,13 +7,16 @@ use crate::motion::{Axes, JAW, MotionState};
 /// One moment of a stop.
 #[derive(Clone, Copy)]
 pub(super) struct Sample {
+    /// 10 m where nothing was wanted or there is no region.
     pub(super) clearances: Clearances,
     pub(super) instrument: Instrument,
     pub(super) velocity: Axes,
     pub(super) acceleration: Axes,
     pub(super) jaw: f64,
+    /// Of the control point, from the Jacobian.
     pub(super) tip_speed_m_s: f64,
     pub(super) tip_turn_rad_s: f64,
+    /// From the remote centre: the lever of yaw and pitch.
     pub(super) wrist_distance_m: f64,
 }
 

@@ -37,7 +37,9 @@ pub(super) struct Sweep {
     /// What can happen next to each sample, the worse of its two sides.
     ways: [[Way; LINKS]; SAMPLES],
     count: usize,
+    /// Between samples; 0 of an arm at rest.
     gap_s: f64,
+    /// Of the whole stop, see the function of this name; stays valid while the stop is played.
     travel_m: [f64; LINKS],
 }
 
@@ -81,6 +83,9 @@ impl Sweep {
     }
 
     /// What is left of the stop after `played_s` of it.
+    ///
+    /// Begins at the last sample that has been reached, so it may be a gap longer than what is
+    /// left, never shorter.
     pub(super) fn rest(&self, played_s: f64) -> Rest<'_> {
         let mut begin = 0;
         let mut passed_s = self.gap_s;
@@ -147,6 +152,7 @@ impl Words for Sweep {
 #[derive(Clone, Copy)]
 pub(super) struct Rest<'a> {
     pub(super) instruments: &'a [Instrument],
+    /// Beside each of `instruments`.
     pub(super) ways: &'a [[Way; LINKS]],
     pub(super) travel_m: &'a [f64; LINKS],
 }

@@ -32,6 +32,10 @@ pub(super) fn all(config: &ControlConfig, arm: &RowInput<'_>) -> [(f64, f64); AX
 
 /// The velocities at which an axis can still stop within its range, is within its speed limit times
 /// `pace`, and can be within `window_s`.
+///
+/// The intersection of three intervals, `[-v, v] * pace`, `[-w(p - low), w(high - p)]` with `w` the
+/// [`viable_speed`] of a share of the distance, and `[v_now - a t, v_now + a t]` with `t` the
+/// window. The last one is widened to hold zero, so that the result always does.
 pub(crate) fn axis_bounds(
     limits: &AxisLimits,
     position: f64,

@@ -84,12 +84,18 @@ pub(super) fn region(
 }
 
 /// A place of the instrument.
+///
+/// Where a row of a region takes its Jacobian.
 struct Place {
     link: Link,
     point_m: Vector3<f64>,
+    /// Of the way along the link, 0 to 1: on the shaft the insertion moves a point by as much of
+    /// itself.
     fraction: f64,
 }
 
+/// Adds the row `-n' J u <= bound` of a place, whose distance counts from the instrument's surface:
+/// the shaft's radius is taken off for every link.
 fn away(
     rows: &mut Rows,
     config: &ControlConfig,

@@ -46,6 +46,8 @@ pub fn names(config: &ControlConfig) -> Vec<String> {
     names
 }
 
+/// Three points of six faces, then the regions. Shapes with flat faces have two rows a link, the
+/// nearest place and the end, under the same name.
 fn boundaries(names: &mut Vec<String>, arm: &ArmConfig) {
     for link in IN_WORKSPACE {
         for axis in ["x", "y", "z"] {

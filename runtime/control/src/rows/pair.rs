@@ -23,6 +23,11 @@ pub(super) const PAIRS: [(Link, Link); 7] = [
     (Link::Shaft, Link::RightFinger),
 ];
 
+/// Adds seven rows. Both instruments are brought into the scene's frame for the distance, and the
+/// normal back into each arm's own for its Jacobian, so that one row holds the velocities of both
+/// arms: `-n' (J_a u_a - J_b u_b) <= bound`, the speed at which they approach.
+///
+/// The gap is measured between surfaces, and the deviations of both links are kept together.
 pub(super) fn links(
     rows: &mut Rows,
     config: &ControlConfig,

@@ -52,6 +52,9 @@ impl<T: Words> Stateful for T {
 }
 
 /// What is left to be read of a snapshot.
+///
+/// Reads in the order in which the words were put. A value that a controller cannot hold is an
+/// error, so that a damaged log does not become a state.
 pub(crate) struct Reader<'a> {
     words: core::slice::Iter<'a, u64>,
     held: &'a [HeldChunk],
@@ -95,6 +98,9 @@ pub(crate) const fn possible(holds: bool) -> Result<(), SnapshotError> {
 }
 
 /// The layout of what is called `name`, with these `parts`: FNV-1a, 64 bits.
+///
+/// A constant of the type: a snapshot with other fields, other names or another order is refused
+/// before a word of it is read.
 pub(crate) const fn layout(name: &str, parts: &[u64]) -> u64 {
     let mut hash: u64 = 0xcbf2_9ce4_8422_2325;
     let mut at = 0;

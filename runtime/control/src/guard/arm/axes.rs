@@ -1,4 +1,9 @@
 //! What each axis must keep, in closed form. Hot path: bounded, no allocation, no I/O, no lock.
+//!
+//! The step is checked by what a jerk `|j| <= J` can do in a tick `T`. In units of `J T`, `J T^2`
+//! and `J T^3` the changes of acceleration, velocity and position are the integrals `x` of `u(s)`,
+//! `y` of `(1 - s) u(s)` and `z` of `(1 - s)^2 u(s) / 2` over `s` from 0 to 1, for some `|u| <= 1`.
+//! Given `x`, `y` has exact bounds; given both, `z` has.
 
 use super::ArmGuard;
 #[cfg(test)]
