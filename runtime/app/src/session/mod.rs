@@ -1,6 +1,15 @@
 //! Sessions: what the command line's verbs do with an arm, a controller and a policy.
 //!
 //! This is the one place where the simulator, the policies and the controller meet.
+//!
+//! The way of a verb: the command line gives options; `setup` or `robot` reads configuration
+//! (`scene_options`, `changes`), `policy_choice` and `policies` name the policy, and `plan` puts
+//! both together. Then one of the loops runs: `episode` in lockstep (`run`, `eval`, `record`,
+//! `environment`, `sheet`), `realtime` by the clock. `source` is whatever answers with chunks in
+//! either, `summary` what is printed of it.
+//!
+//! `crate::rig` holds what a loop exchanges measurements and set-points with, `crate::console` what
+//! pages are shown.
 
 pub mod anatomy;
 mod can_interfaces;

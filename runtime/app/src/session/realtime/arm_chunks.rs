@@ -7,6 +7,7 @@ use crate::session::SessionError;
 
 /// The chunk topics of all arms. Each is read for itself, so one may be a step behind another.
 pub(super) struct ArmChunks {
+    /// In arm order.
     topics: Vec<Subscriber<Chunk>>,
     /// The newest chunk of each arm that has not been handed on.
     waiting: Vec<Option<Chunk>>,
@@ -23,6 +24,9 @@ impl ArmChunks {
     }
 
     /// The newest answer, once the chunks of all arms are there; none twice.
+    ///
+    /// A chunk whose partner is replaced before it was read is dropped with it: only the newest
+    /// whole answer counts.
     pub(super) fn newest(&mut self) -> Result<Option<PerArm<Chunk>>, SessionError> {
         for (topic, waiting) in self.topics.iter().zip(&mut self.waiting) {
             if let Some(newest) = topic.newest()? {
@@ -34,6 +38,9 @@ impl ArmChunks {
 }
 
 /// Takes the chunks of one answer, if all are there.
+///
+/// Chunks belong together by time of observation and sequence number. Incomplete ones stay and
+/// wait.
 fn take_answer(waiting: &mut [Option<Chunk>]) -> Option<PerArm<Chunk>> {
     let of = |chunk: &Option<Chunk>| chunk.map(|chunk| (chunk.observed_at, chunk.sequence));
     let answer = of(waiting.first()?)?;

@@ -1,4 +1,7 @@
 //! The cameras' process as the run sees it: started early, waited for, listened to, and told to go.
+//!
+//! Drawing is in a process of its own since a graphics driver may crash, hang or take any lock.
+//! What that process does is `cameras_process`; restarts and holds are decided by `supervisor`.
 
 use std::ffi::OsString;
 
@@ -24,7 +27,9 @@ const SILENCE_NS_MAX: u64 = 2_000_000_000;
 
 /// The running cameras' process.
 pub(super) struct CamerasChild {
+    /// Dropping it ends the process.
     own: ChildProcess<CamerasStatus>,
+    /// For whoever waits for frames; another handle is made for the start.
     events: Events,
     /// Of its own: when it was heard. It begins when the process is started.
     clock: MonotonicClock,
@@ -34,6 +39,11 @@ pub(super) struct CamerasChild {
 impl CamerasChild {
     /// Starts the process on `topics`, where it shows frames of the cameras `wanted`, and to
     /// `pages` what they ask for.
+    ///
+    /// Returns at once: the process loads while the policy does.
+    ///
+    /// # Errors
+    /// From the topics, or if this program cannot be started.
     pub(super) fn start(
         plan: &Plan,
         topics: &str,
@@ -54,6 +64,9 @@ impl CamerasChild {
     }
 
     /// Waits until it has drawn for the first time.
+    ///
+    /// Blocks for 60 s at most; its first status counts as ready, which it gives once every camera
+    /// has drawn.
     pub(super) fn wait_until_ready(&mut self, say: PrintLine<'_>) -> Result<(), SessionError> {
         let events = self.own.node.events()?;
         await_ready(self, (self.clock, LOAD_NS_MAX), &events, say)
@@ -64,6 +77,7 @@ impl CamerasChild {
         rt::wait(&self.events, at_most_ns);
     }
 
+    /// Any new status is a sign of life; whether there was one.
     fn hear(&mut self) -> Result<bool, SessionError> {
         let heard = self.own.status.newest()?.is_some();
         if heard {
@@ -92,6 +106,7 @@ impl Remote for CamerasChild {
         self.hear()
     }
 
+    /// A new process is ready as the first was.
     fn is_back(&mut self, _now: TimeNs) -> Result<bool, SessionError> {
         self.is_ready()
     }
@@ -100,6 +115,7 @@ impl Remote for CamerasChild {
         Ok(self.own.exit())
     }
 
+    /// While it loads it may be silent for [`LOAD_NS_MAX`], then for [`SILENCE_NS_MAX`].
     fn lost(&mut self) -> Option<String> {
         if let Some(reason) = self.own.exit() {
             return Some(reason);
@@ -121,6 +137,9 @@ impl Remote for CamerasChild {
 }
 
 /// `trocar cameras`, with all that decides the scene of `plan`.
+///
+/// All that decides the scene goes along: the process reads the same files and must come to the
+/// same scene hash.
 fn verb(plan: &Plan, topics: &str, wanted: &[String], pages: bool) -> Spawned {
     let setup = &plan.setup;
     let mut arguments: Vec<OsString> = vec!["cameras".into()];

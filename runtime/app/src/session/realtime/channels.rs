@@ -23,9 +23,12 @@ pub(super) type Local = Option<(ChunkSource, Producer<PerArm<Chunk>>)>;
 pub(super) struct ThreadChannels {
     pub(super) control: ControlChannels,
     /// For the rig: what it measures, and what happened to it.
+    ///
+    /// Written once a period; the newest replaces the others.
     pub(super) measured: MailboxWriter<PerArm<ArmState>>,
     pub(super) noticed: MailboxWriter<Noticed>,
     pub(super) seen: ObserverChannels,
+    /// For whoever answers: a local policy, hands, or the first thread for a process.
     pub(super) chunk_in: Producer<PerArm<Chunk>>,
     /// For a world that says where everything is.
     pub(super) scenes: Option<SceneLog>,
@@ -35,6 +38,7 @@ pub(super) struct ThreadChannels {
 
 /// The control thread's ends.
 pub(super) struct ControlChannels {
+    /// One is taken a period.
     pub(super) chunks: Consumer<PerArm<Chunk>>,
     pub(super) log: Option<TickLog>,
     pub(super) signals: Arc<Signals>,
@@ -45,6 +49,7 @@ pub(super) struct ControlChannels {
 /// Channel ends of the thread that observes the arms for the policy.
 pub(super) struct ObserverChannels {
     pub(super) measured: MailboxReader<PerArm<ArmState>>,
+    /// Silent where no arm is on CAN.
     pub(super) news: CanEventLog,
     /// The buses of arms on CAN, for the log.
     pub(super) buses: Option<BusLog>,
@@ -55,6 +60,8 @@ pub(super) struct ObserverChannels {
 
 impl ObserverChannels {
     /// Writes into the log what has happened to arms, buses and policy.
+    ///
+    /// To be called in each turn of the observing thread; cheap without news.
     pub(super) fn tell(&mut self) {
         self.news.tell(&self.signals);
         if let (Some(buses), Some(log)) = (&mut self.buses, &mut self.log) {
@@ -66,6 +73,9 @@ impl ObserverChannels {
 
 impl ThreadChannels {
     /// Those of a run by `clock`, by which its pictures have their time on the console.
+    ///
+    /// Allocates all buffers of the run. The operator may not enable arms again here: drives on CAN
+    /// are enabled once, at the beginning.
     pub(super) fn new(
         (recorder, console): (Option<Recorder>, Option<&Console>),
         clock: MonotonicClock,

@@ -15,6 +15,7 @@ use crate::session::SessionError;
 /// A checkpoint's files as they were.
 #[derive(Clone)]
 pub(super) struct CheckpointFiles {
+    /// The checkpoint's, which the run read at its start.
     folder: PathBuf,
     /// SHA-256 by name.
     hashes: BTreeMap<String, String>,
@@ -22,6 +23,9 @@ pub(super) struct CheckpointFiles {
 
 impl CheckpointFiles {
     /// Those in `folder`; the SHA-256 of its weights is not taken again if it is known.
+    ///
+    /// Reads every file that loading a checkpoint reads; large weights take their time, hence
+    /// `weights_sha256`.
     pub(super) fn read(folder: &Path, weights_sha256: Option<&str>) -> Result<Self, SessionError> {
         let hashes = hashes(folder, weights_sha256).map_err(|error| unreadable(folder, &error))?;
         Ok(Self {
@@ -36,6 +40,11 @@ impl CheckpointFiles {
     }
 
     /// Begins to compare them with what is there now.
+    ///
+    /// Returns at once.
+    ///
+    /// # Errors
+    /// If no thread can be started.
     pub(super) fn begin_check(&self) -> Result<FilesCheck, SessionError> {
         let files = self.clone();
         let thread = thread::Builder::new()
@@ -46,6 +55,8 @@ impl CheckpointFiles {
     }
 
     /// Refuses them by name if they are not the same any more.
+    ///
+    /// A file that came, went or changed is named, the first by name order.
     fn check_unchanged(&self) -> Result<(), SessionError> {
         let now = hashes(&self.folder, None).map_err(|error| unreadable(&self.folder, &error))?;
         let names = self.hashes.keys().chain(now.keys());
@@ -70,6 +81,8 @@ impl FilesCheck {
     }
 
     /// Refuses the files by name if they are not the same any more.
+    ///
+    /// Blocks until the comparison is over; a panic of its thread is an error.
     pub(super) fn found(self) -> Result<(), SessionError> {
         let panicked =
             || SessionError::RealTime("the check of the policy's files panicked".to_owned());

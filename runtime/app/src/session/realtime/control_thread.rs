@@ -1,4 +1,8 @@
 //! The control thread of a real-time run: exchange with the rig, tick, once a period.
+//!
+//! Hot path: bounded, no allocation, no lock, no I/O but the rig's. The loop knows no task: it runs
+//! until `signals` say that the run is done, then gives the arms [`REST_TICKS`] to stop, and in the
+//! last [`RELEASE_TICKS`] of them takes their torque.
 
 use std::sync::Arc;
 
@@ -28,10 +32,14 @@ const RELEASE_TICKS: u64 = 10;
 
 /// The control thread before it runs, without its rig.
 pub(super) struct ControlThread {
+    /// Of as many arms as the rig measures.
     controller: AnyController,
+    /// Whose chunks are consumed: the policy's or an operator's.
     drivers: Drivers,
+    /// Never waits: a full log drops ticks and counts them.
     log: Option<TickLog>,
     signals: Arc<Signals>,
+    /// Commands in, status out, both without waiting.
     operator: OperatorPort,
     clock: MonotonicClock,
     /// What the thread asks of the system; of strict wishes
@@ -48,9 +56,11 @@ pub(super) struct ControlThread {
 /// What it leaves behind.
 pub(super) struct ControlEnd<R> {
     pub(super) rig: R,
+    /// Counts of the whole run, with what the controller measured.
     pub(super) tally: Tally,
     /// The loop's timing, without what the log dropped.
     pub(super) timing: LoopEnd,
+    /// Messages that found the log's queue full.
     pub(super) log_dropped: u64,
 }
 
@@ -74,6 +84,12 @@ impl<R> ControlEnd<R> {
 
 impl ControlThread {
     /// That of a run of `plan`, with these `channels`; `hands` may take over from the policy.
+    ///
+    /// Allocates everything that the loop needs.
+    ///
+    /// # Errors
+    /// If the controller's configuration does not hold, or the process is refused what it must hold
+    /// of the system.
     pub(super) fn new<S: Arms>(
         plan: &Plan<S>,
         channels: ControlChannels,
@@ -171,6 +187,9 @@ impl ControlThread {
     }
 
     /// The controller's tick with the chunks that have come.
+    ///
+    /// At most one answer is consumed a period, the oldest in the queue. The delivery time is
+    /// counted from the observation to this period's due time.
     fn tick(
         &mut self,
         period: &Period,

@@ -1,5 +1,9 @@
 //! Who is shown simulated arms beside the controller: the threads between the simulation and the
 //! topics, which shows them to other processes, and takes the frames of these.
+//!
+//! None of these threads is on the control path: they read mailboxes and queues that the simulation
+//! thread writes without waiting. One thread takes frames, whose kind depends on whose cameras they
+//! are; one publishes states and scenes.
 
 use std::sync::Arc;
 use std::thread;
@@ -46,9 +50,11 @@ enum Frames {
 
 /// What the thread that watches others' cameras is made of.
 struct Others {
+    /// With how many of them, the first, the policy looks through.
     cameras: (Vec<Camera>, usize),
     /// For a policy process, one an arm.
     reports: Vec<Publisher<ArmReport>>,
+    /// Each period's, so that the arms of a frame's instant can be found.
     measured: MailboxReader<PerArm<ArmState>>,
     events: Events,
 }
@@ -56,6 +62,9 @@ struct Others {
 impl Observers {
     /// Opens what `stage` needs for a run of `plan` with the policy `child`, if it has one; also
     /// gives the simulation's end.
+    ///
+    /// # Errors
+    /// From the topics; nothing runs yet.
     pub(super) fn open(
         plan: &Plan,
         stage: Stage,
@@ -118,6 +127,11 @@ impl Observers {
 
     /// Runs `simulation` from `first` on by `clock`, and these threads beside it, until the control
     /// thread has stopped.
+    ///
+    /// Blocks: the simulation runs on the calling thread.
+    ///
+    /// # Errors
+    /// Of the states thread first, then of the simulation, then of the frames thread.
     pub(super) fn run(
         self,
         plan: &Plan,
@@ -181,6 +195,8 @@ impl Others {
 }
 
 /// Writes what the `log` is to say where no frames are kept, until the control thread has stopped.
+///
+/// Once more at the end, so that the last events are in the log.
 fn write_told(mut log: SideLog, signals: &Signals) {
     while !signals.stopped() {
         signals.write_told(Some(&mut log));

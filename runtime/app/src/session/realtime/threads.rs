@@ -21,7 +21,9 @@ use crate::session::{Plan, SessionError};
 
 /// What the threads give back; `T` is that of the observing one.
 pub(super) struct Ends<R, T> {
+    /// An error is one from before the loop, or a panic: the loop itself returns none.
     pub(super) control: Result<ControlEnd<R>, SessionError>,
+    /// Of the first thread.
     pub(super) watched: Result<Watched, SessionError>,
     pub(super) seen: Result<T, SessionError>,
 }
@@ -47,6 +49,10 @@ pub(super) fn wired<'a, S: Arms>(
 }
 
 /// Runs all threads, by the run's `clock`, until the one that controls has stopped.
+///
+/// Spawns listener, control and observer in a scope and watches on the calling thread; all are
+/// joined when it returns. Each thread holds a guard that ends the others, so that none waits for
+/// one that is gone.
 pub(super) fn run<R: Send, T: Send>(
     remote: Option<Supervised<'_>>,
     (signals, listener, clock): (&Signals, Option<&Listener>, MonotonicClock),
@@ -69,6 +75,8 @@ pub(super) fn run<R: Send, T: Send>(
 }
 
 /// What a thread gave back.
+///
+/// A panic becomes an error.
 pub(super) fn joined<T>(handle: ScopedJoinHandle<'_, T>) -> Result<T, SessionError> {
     handle
         .join()

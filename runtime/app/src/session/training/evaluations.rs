@@ -47,6 +47,7 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
+    /// Invalid trials are in neither number.
     fn of(step: u64, score: Score) -> Self {
         Self {
             step,
@@ -65,8 +66,11 @@ pub(super) type OnTrial<'a> = dyn FnMut(u64, usize, usize, Score) + 'a;
 /// The evaluations of a training.
 #[derive(Debug)]
 pub(super) struct Evaluations {
+    /// How often, how many trials, from which seed on.
     plan: TrainingEval,
+    /// The dataset's unless another was asked for.
     task: String,
+    /// The checkpoint's folder, which holds table and best weights.
     out: PathBuf,
     device: Device,
     /// In order of the steps.
@@ -106,6 +110,8 @@ impl Evaluations {
     }
 
     /// Whether the weights after `step` of `steps` are to be evaluated.
+    ///
+    /// Every so many steps and after the last one; never twice for one step, as after a resume.
     pub(super) fn wants(&self, step: u64, steps: u64) -> bool {
         let due = step.is_multiple_of(self.plan.every.max(1)) || step == steps;
         due && self.rows.iter().all(|row| row.step != step)
@@ -143,6 +149,8 @@ impl Evaluations {
     }
 
     /// Writes down how the checkpoint `part` did, and keeps it if none was better before.
+    ///
+    /// Of two with the same rate the later one is kept.
     fn settle(&mut self, part: &Path, row: Evaluation) -> Result<(), SessionError> {
         if self.best.is_none_or(|best| row.rate >= best.rate) {
             self.keep(part, row)?;
@@ -188,6 +196,9 @@ impl Evaluations {
     }
 
     /// Puts the checkpoint `part` in the place of the best one, with how it did.
+    ///
+    /// By two renames, so that at each moment the old or the new weights are whole on disk, if
+    /// under another name.
     fn keep(&mut self, part: &Path, row: Evaluation) -> Result<(), SessionError> {
         let result = serde_json::json!({
             "task": self.task,
@@ -206,6 +217,7 @@ impl Evaluations {
         Ok(())
     }
 
+    /// The whole table anew each time: it is a few lines.
     fn write_table(&self) -> Result<(), SessionError> {
         let mut text = "step,trials,successes,rate,wilson95_low,wilson95_high\n".to_owned();
         for row in &self.rows {

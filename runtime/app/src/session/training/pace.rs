@@ -32,6 +32,7 @@ pub struct TrainingStatus {
     pub seconds_left: Option<f64>,
 }
 
+/// The part of a status line that only a row of the curve has.
 fn write_row(f: &mut fmt::Formatter<'_>, row: &CurveRow) -> fmt::Result {
     let CurveRow {
         l1,
@@ -75,6 +76,8 @@ impl fmt::Display for TrainingStatus {
 pub(super) struct Pace {
     batch: usize,
     /// Steps and times in the last five minutes, oldest first.
+    ///
+    /// Times are without those aside.
     recent: VecDeque<(u64, f64)>,
     /// The first step reported, and when.
     first: Option<(u64, f64)>,
@@ -135,12 +138,16 @@ impl Pace {
     }
 
     /// The time for `steps` and `asides`, s, at the pace that is known.
+    ///
+    /// None before there is a rate.
     fn left_s(&self, steps: u64, asides: u64) -> Option<f64> {
         let rate = self.samples_per_second?;
         let samples = number(steps) * number(self.batch as u64);
         Some(samples / rate + number(asides) * self.aside_mean())
     }
 
+    /// The rate is over all that is remembered, so a single slow step moves it little. At least two
+    /// entries stay, however old they are.
     fn measure(&mut self, now: (u64, f64)) {
         if let Some(rate) = self.recent.front().and_then(|from| self.rate(*from, now)) {
             self.samples_per_second = Some(rate);
@@ -162,6 +169,7 @@ impl Pace {
         (samples > 0.0 && seconds > 0.0).then(|| samples / seconds)
     }
 
+    /// 0 before the first.
     fn aside_mean(&self) -> f64 {
         self.aside.0 / number(self.aside.1).max(1.0)
     }

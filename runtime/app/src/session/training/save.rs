@@ -1,4 +1,8 @@
 //! How a trained network becomes a checkpoint, and what that says of the training.
+//!
+//! A checkpoint is the weights, the statistics by which inputs and outputs are normalised, and the
+//! recipe, which tells a run how often to ask and what to show. What weights look like in a file is
+//! `trocar_nets::checkpoint`.
 
 use std::path::Path;
 
@@ -19,8 +23,10 @@ use crate::session::source::STEP_NS;
 
 /// What is particular about the network that is trained.
 pub(super) struct Made {
+    /// The named size that the network was built from.
     pub(super) preset: PolicyPreset,
     pub(super) variants: Variants,
+    /// Steps of the dataset, not of the run.
     pub(super) query_every_steps: u32,
 }
 
@@ -29,6 +35,7 @@ pub(super) struct Saver<'a> {
     pub(super) options: &'a TrainingOptions,
     pub(super) train_options: TrainOptions,
     pub(super) dataset: &'a Dataset,
+    /// Also counts what a training took before it was stopped and resumed.
     pub(super) stopwatch: Stopwatch,
     pub(super) made: Made,
     /// What clouds are made of, of a network that sees them.
@@ -36,6 +43,7 @@ pub(super) struct Saver<'a> {
 }
 
 impl Saver<'_> {
+    /// An error here is one of this program: options of such a network always have a recipe.
     fn cloud(&self) -> Result<&CloudRecipe, SessionError> {
         let defect = "a network that sees clouds was trained without a recipe of them";
         let cloud = self.cloud.as_ref();
@@ -74,6 +82,7 @@ impl Saver<'_> {
     }
 }
 
+/// Aggregation is always `newest`: others are the user's choice at run time.
 fn recipe(saver: &Saver<'_>, trained: &AnyTrained) -> Recipe {
     let Saver {
         options,

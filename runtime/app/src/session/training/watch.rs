@@ -25,6 +25,8 @@ pub(super) const STATE_FILE: &str = "training_state.safetensors";
 /// What a state remembers for the one who resumes it.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct About {
+    /// As they were given; `out` is replaced by the folder in which the state is found, which may
+    /// have been moved.
     pub(super) options: TrainingOptions,
     /// Time that the training has taken, s.
     pub(super) seconds: f64,
@@ -74,10 +76,12 @@ const REPORT_EVERY_S: f64 = 0.5;
 /// Tells of a training, here and to TensorBoard, evaluates it, keeps its state in its folder, and
 /// stops it when the user asks for that.
 pub(super) struct Watcher<'a> {
+    /// Writes the weights that are evaluated.
     saver: &'a Saver<'a>,
     pub(super) evaluations: Option<Evaluations>,
     on_progress: &'a mut OnProgress<'a>,
     pub(super) pace: Pace,
+    /// None before the first step, and after a write that failed.
     events: Option<EventFile>,
     /// When a step was reported the last time, s.
     reported_s: Option<f64>,
@@ -107,6 +111,7 @@ impl<'a> Watcher<'a> {
         (self.on_progress)(&TrainingProgress::Note(line));
     }
 
+    /// A resumed training begins a file of its own for TensorBoard, from its step on.
     fn begin(&mut self, step: u64, seconds: f64) {
         self.pace.begin(step, seconds);
         match EventFile::create(self.out(), step, rt::unix_seconds()) {
@@ -132,6 +137,8 @@ impl<'a> Watcher<'a> {
         }
     }
 
+    /// Called for a row of the loss curve and for a step that was asked for; TensorBoard gets rows
+    /// alone.
     fn standing(&mut self, step: (u64, u64), loss: (f64, Option<CurveRow>), seconds: f64) {
         let evaluations = self.evaluations.as_ref();
         let left = evaluations.map_or(0, |all| all.left(step.0, step.1));
@@ -156,6 +163,8 @@ impl<'a> Watcher<'a> {
     }
 
     /// Evaluates what was trained, and says how it did.
+    ///
+    /// Blocks the training for as long as the trials take. That time is left out of the pace.
     fn evaluate(&mut self, step: u64, trained: &AnyTrained) -> Result<(), SessionError> {
         let (saver, before) = (self.saver, self.saver.stopwatch.seconds());
         let Some(evaluations) = &mut self.evaluations else {
@@ -241,6 +250,8 @@ impl TrainingObserver for Watcher<'_> {
         rt::interrupted()
     }
 
+    /// Called before a stop and every so many steps: state and loss curve are written, and the
+    /// state names the options, so that resuming needs the folder alone.
     fn keep(&mut self, mut state: RunState) -> Result<(), TrainError> {
         let failed = |error: &dyn std::fmt::Display| TrainError::State(error.to_string());
         let evaluations = self.evaluations.as_ref().map(Evaluations::rows);

@@ -26,6 +26,8 @@ const NEXT_FRAME_NS_MAX: u64 = 2_000_000_000;
 const CAMERA_NS_MAX: u64 = 10_000_000_000;
 
 /// Whoever waits for longer wants to know for what, ns.
+///
+/// Shorter waits say nothing.
 pub(in super::super) const PATIENCE_NS: u64 = 500_000_000;
 
 /// Polling period, ns.
@@ -36,6 +38,13 @@ pub type PrintLine<'a> = &'a (dyn Fn(&str) + Sync);
 
 /// Looks until there is something, for `limit_ns` at most; `lacking` says what was not there, and
 /// what would help.
+///
+/// Polls once a millisecond. `what` completes "waiting for"; the line is said once, after half a
+/// second.
+///
+/// # Errors
+/// [`SessionError::RealTime`] with `lacking` when the time is up, or for an interrupt; any error of
+/// `look` at once.
 pub(super) fn await_it<T>(
     what: &str,
     lacking: &str,
@@ -132,6 +141,8 @@ enum Taken {
 
 impl Taken {
     /// Of a frame with the system's `stamp`, at `now` by the same clock.
+    ///
+    /// At most 500 ms old and 40 ms ahead is live.
     fn at(stamp: TimeNs, now: TimeNs) -> Self {
         let (ago, ahead) = (now.since(stamp), stamp.since(now));
         match (ago > FRAME_NS_MAX || ahead > AHEAD_NS_MAX, ago > 0) {
@@ -143,6 +154,8 @@ impl Taken {
 }
 
 /// What a camera showed whose frames are not of now.
+///
+/// For an error, such as of a camera that stamps frames by a clock of its own.
 fn untimely(name: &str, topics: &str, taken: Taken) -> String {
     let when = match taken {
         Taken::Live => return format!("camera {name} on topics {topics:?}"),
@@ -156,6 +169,8 @@ fn untimely(name: &str, topics: &str, taken: Taken) -> String {
 }
 
 /// Waits for the next frame of now of each of `cameras`, which have been seen before.
+///
+/// Bring-up takes its time, in which a camera can have gone.
 pub(super) fn still_there(
     cameras: &mut [Camera],
     clock: MonotonicClock,
@@ -183,6 +198,12 @@ pub(super) fn still_there(
 /// Waits for a frame of now of each of the cameras `wanted`, which must have the size that is asked
 /// for, if any is, on `topics`; the `remedy` for one that shows none names it NAME. Any `clock`
 /// will do. `meanwhile` is done again and again.
+///
+/// Cameras are waited for one after the other, 10 s each.
+///
+/// # Errors
+/// [`SessionError::RealTime`] for one that shows nothing or only frames of another time,
+/// [`SessionError::BadArgument`] for one of another size.
 pub(in super::super) fn cameras(
     node: &TopicNode,
     wanted: &[SizedCamera],

@@ -1,5 +1,8 @@
 //! What comes before the first SYNC: what is wrong without any bus, the world, and the way of the
 //! drives to where they may be enabled.
+//!
+//! Arms come up one after another; those that are ready are listened to meanwhile, so that a drive
+//! that is lost is known. All are enabled together later, on the control thread.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -25,6 +28,12 @@ pub(super) type ReadyArm = Homed<SocketBus<CanClock>>;
 
 /// What can be known to be wrong before anything is opened: `whose` (a task, a file) has `count`
 /// arms.
+///
+/// The cycle must be a whole multiple of the control period, and the frames of a cycle must fit on
+/// each bus.
+///
+/// # Errors
+/// [`SessionError::BadArgument`] and [`SessionError::Overload`].
 pub(super) fn check(whose: &str, count: usize, can: &CanConfig) -> Result<(), SessionError> {
     if can.arms.len() < count {
         return Err(SessionError::BadArgument(format!(
@@ -45,6 +54,13 @@ pub(super) fn check(whose: &str, count: usize, can: &CanConfig) -> Result<(), Se
 }
 
 /// The world must be the one that is meant, and not be used up.
+///
+/// Task, seed and hash of the scene must be those of `plan`, and its episode must not have begun:
+/// one world is one episode.
+///
+/// # Errors
+/// [`SessionError::BadArgument`] for another world, [`SessionError::RealTime`] for one that is used
+/// up.
 pub(super) fn check_world(
     world: &SceneReport,
     plan: &Plan,
@@ -79,6 +95,12 @@ const LINES_NS: u64 = 1_000_000_000;
 
 /// Leads the drives of all arms to where they may be enabled, one arm after the other, and says
 /// what it is at if that takes long.
+///
+/// Blocks for as long as homing takes; an interrupt cancels it.
+///
+/// # Errors
+/// [`SessionError::BringUp`] with arm, interfaces and the step's reason, also if an arm that was
+/// ready is lost meanwhile.
 pub(super) fn bring_up(
     can: &CanOptions,
     buses: Vec<SocketBus<CanClock>>,
@@ -97,7 +119,9 @@ pub(super) fn bring_up(
 
 /// Why an arm did not get its references.
 enum NotHomed {
+    /// A signal came before this arm was homed.
     Interrupted(SessionError),
+    /// A drive or its bus did not do what was asked.
     Failed(BringUpError),
 }
 
@@ -111,6 +135,9 @@ impl NotHomed {
 }
 
 /// Leads the drives of one arm to where they may be enabled.
+///
+/// The typestates of `trocar_canopen` in order: offline, scanned, identified, mapped, homed. Every
+/// step goes to `steps`.
 fn home(
     bus: SocketBus<CanClock>,
     plan: &ArmPlan,
@@ -127,6 +154,8 @@ fn home(
 }
 
 /// Does `work`, and meanwhile says of the arm `name` what it is at.
+///
+/// The narrator is a thread of its own, which ends when `work` drops its sender.
 fn narrated<T>(name: &str, say: PrintLine<'_>, work: impl FnOnce(Sender<Step>) -> T) -> T {
     let (steps, told) = channel();
     thread::scope(|scope| {
@@ -136,6 +165,8 @@ fn narrated<T>(name: &str, say: PrintLine<'_>, work: impl FnOnce(Sender<Step>) -
 }
 
 /// Says, at first after a little and then once a second, what bring-up is at, until that is over.
+///
+/// The first line after half a second: a bring-up that is quick says nothing.
 fn narrate(name: &str, told: &Receiver<Step>, say: PrintLine<'_>) {
     let clock = MonotonicClock::new();
     let (mut step, mut next) = (Step::Finding, TimeNs(PATIENCE_NS));
@@ -153,6 +184,9 @@ fn narrate(name: &str, told: &Receiver<Step>, say: PrintLine<'_>) {
 }
 
 /// Does `work`, and meanwhile hears what comes for the arms that are `ready`.
+///
+/// An error of `work` is reported before one of the listener. Without ready arms no thread is
+/// started.
 fn while_listening<T>(
     can: &CanOptions,
     ready: &mut [ReadyArm],
@@ -174,6 +208,8 @@ fn while_listening<T>(
 }
 
 /// Hears what comes for the arms that are `ready` until the work is `done`.
+///
+/// Polls each millisecond.
 fn listen(can: &CanOptions, ready: &mut [ReadyArm], done: &AtomicBool) -> Result<(), SessionError> {
     while !done.load(Ordering::Relaxed) {
         for (index, arm) in ready.iter_mut().enumerate() {

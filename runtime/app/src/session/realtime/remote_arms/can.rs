@@ -1,5 +1,9 @@
 //! Arms whose drives are on CAN. The bring-up ends in the control thread, which must not let the
 //! SYNC stop from then on. A fault of any drive or bus stops all drives of its arm.
+//!
+//! Configuration, bus load and interfaces are checked first, without any frame; `bring_up` then
+//! leads the drives to where they may be enabled, and `enable` gives them torque once the observing
+//! thread allows it.
 
 use hal::{PerArm, TICK_NS};
 use trocar_canopen::master::{BringUpError, Permission, enable_together};
@@ -20,7 +24,10 @@ use crate::session::summary::CanSummary;
 use crate::session::{Robot, SessionError, can_interfaces};
 
 impl ArmLink for CanOptions {
+    /// One an arm: an arm's buses are a set of sockets of its own, even where two arms share an
+    /// interface.
     type Opened = Vec<SocketBus<CanClock>>;
+    /// Homed, mapped and without torque.
     type Ready = Vec<ReadyArm>;
     type Rig = CanRig;
 
@@ -28,10 +35,12 @@ impl ArmLink for CanOptions {
         &self.topics
     }
 
+    /// Named in errors: what to start if there is no world.
     fn host(&self) -> &'static str {
         "trocar drives"
     }
 
+    /// Opens sockets alone: nothing is sent.
     fn open(&self, robot: &Robot, clock: MonotonicClock) -> Result<Self::Opened, SessionError> {
         check(&robot.name, robot.arms(), &self.config)?;
         let arms = self.config.arms.iter().take(robot.arms());
@@ -40,6 +49,8 @@ impl ArmLink for CanOptions {
     }
 
     /// What the margins do not hold of the arms' lag at the cycle of their buses.
+    ///
+    /// The longest cycle of all arms counts.
     fn warnings(&self, robot: &Robot) -> Vec<String> {
         let arms = self.config.arms.iter().take(robot.arms());
         let cycle_ns = arms.map(|arm| arm.plan.cycle_ns).max();
@@ -47,6 +58,7 @@ impl ArmLink for CanOptions {
         lines.unwrap_or_default()
     }
 
+    /// Each interface once, by name, and the greatest bit rate of all arms; 0 without an arm.
     fn buses(&self, arms: usize) -> (Vec<String>, u32) {
         let arms = self.config.arms.iter().take(arms);
         let rate = arms.clone().map(|arm| arm.plan.bit_rate).max();
@@ -65,6 +77,7 @@ impl ArmLink for CanOptions {
         bring_up(self, opened, say)
     }
 
+    /// The world's drives must be those that were just brought up, and have not been started yet.
     fn await_world(
         &self,
         scene: &Subscriber<SceneReport>,
@@ -74,6 +87,9 @@ impl ArmLink for CanOptions {
         awaited::stopped(scene, clock, &self.topics, say)
     }
 
+    /// Runs on the control thread, which goes on with the SYNC in its loop. Torque waits for the
+    /// permission of the observing thread. [`SessionError::Interrupted`] if the run ended or a
+    /// signal came meanwhile.
     fn enable(
         &self,
         ready: Self::Ready,
@@ -104,10 +120,12 @@ impl ArmLink for CanOptions {
         Ok(CanRig::new(arms, noticed, periodic))
     }
 
+    /// Blocks until the drives are down or their time is up.
     fn take_down(rig: &mut CanRig, clock: MonotonicClock) {
         rig.take_down(clock);
     }
 
+    /// Of all arms, in one line.
     fn fault(rig: &CanRig) -> Option<String> {
         let faults = rig.fault_texts();
         (!faults.is_empty()).then(|| format!("fault: {}", faults.join("; ")))

@@ -1,4 +1,9 @@
 //! The end of a run of arms outside of this process: why it ended, and what it adds up to.
+//!
+//! Several threads may each have a reason. Success is the world's word alone. Otherwise the order
+//! is, of a task: what the first thread saw end the run (a signal, the operator, the policy
+//! process), a fault of the arms or the controller, what the observing thread says. Of a robot a
+//! fault comes first.
 
 use trocar_log::LogFile;
 use trocar_topics::Verdict;
@@ -19,9 +24,13 @@ use crate::session::{Plan, SessionError};
 /// What an observing thread leaves behind.
 pub(super) trait Seen {
     /// Why the run ended, if nothing else ended it before.
+    ///
+    /// `fault` is of the arms or else of the controller; `watched` is the first thread's.
     fn ended(&self, watched: &Watched, fault: Option<String>) -> Ended;
 
     /// How long the local policy took for its chunks.
+    ///
+    /// Empty if the policy is in another process.
     fn inference(&self) -> &Histogram;
 }
 
@@ -54,6 +63,10 @@ impl Seen for RobotEnd {
 
 /// Closes the log of a run that was marked at these hands, if it was, whatever happened, and sums
 /// up.
+///
+/// # Errors
+/// Of the thread that failed first in the order of control, first thread and observer; where
+/// nothing was enabled, what prevented that. The log is closed without an outcome then.
 pub(super) fn conclude<S: Arms, T: Seen, L: ArmLink>(
     plan: &Plan<S>,
     ends: Ends<L::Rig, T>,

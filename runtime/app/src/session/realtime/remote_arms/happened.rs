@@ -1,4 +1,8 @@
 //! What happens to an arm on CAN and to its buses, and what the log says of it.
+//!
+//! The control thread puts a status into a mailbox whenever it changes; the observing thread reads
+//! it here and words the difference. A change that is replaced before it is read is not lost, since
+//! counters only grow and a fault stays.
 
 use super::super::signals::Signals;
 use crate::mailbox::MailboxReader;
@@ -9,6 +13,9 @@ use trocar_log::Level;
 impl CanStatus {
     /// What is new since `before`, for a person. A fault ends the motion; a controller that is
     /// error passive still works, and the arm goes on.
+    ///
+    /// Buses are counted from 0 within the arm. A fault is reported once: nothing clears it in a
+    /// run.
     fn news(&self, before: &Self) -> Vec<(Level, String)> {
         let passive = self.passives.iter().zip(before.passives).enumerate();
         let passive = passive.filter(|(_, (now, then))| **now > *then);
@@ -31,6 +38,9 @@ impl CanStatus {
 pub(in super::super) struct CanEventLog {
     noticed: MailboxReader<Noticed>,
     /// What of it is in the log.
+    ///
+    /// None before the first news, which are then compared with an arm that nothing has happened
+    /// to.
     told: Option<PerArm<CanStatus>>,
 }
 
@@ -43,6 +53,8 @@ impl CanEventLog {
     }
 
     /// Tells what has happened to an arm and its buses.
+    ///
+    /// Events bear the time at which the control thread noticed them.
     pub(in super::super) fn tell(&mut self, signals: &Signals) {
         let Some((at, happened)) = self.noticed.take() else {
             return;

@@ -38,7 +38,9 @@ const BEGIN_NS_MAX: u64 = 3_000_000_000;
 pub(super) struct SceneThread<'a> {
     /// Says what is waited for.
     pub(super) say: PrintLine<'a>,
+    /// A report every 40 ms.
     pub(super) scene: Subscriber<SceneReport>,
+    /// Wakes the thread when anything is published on the world's topics.
     pub(super) events: Events,
     pub(super) seen: ObserverChannels,
     pub(super) local: Local,
@@ -49,6 +51,8 @@ pub(super) struct SceneThread<'a> {
     /// For the log and the pages.
     pub(super) frames: Vec<Camera>,
     /// Those of them that the log keeps.
+    ///
+    /// By name; an error of one of these ends the thread, of another only its page.
     pub(super) logged: Vec<String>,
     pub(super) camera_pages: Option<CameraPages>,
     pub(super) world_pages: Option<WorldForPages>,
@@ -100,8 +104,11 @@ pub(super) fn frames(node: &TopicNode, names: &[String]) -> Result<Vec<Camera>, 
 
 /// What of a world is waited for after bring-up, before its episode begins.
 struct Awaited {
+    /// When this wait began, by the run's clock.
     since: TimeNs,
+    /// Ours have been enabled: what is waited for is then the episode.
     enabled: bool,
+    /// Whether the line about it was said.
     named: bool,
 }
 
@@ -149,6 +156,8 @@ impl Awaited {
 
 /// Why a world with this verdict is not that of our drives, which are not enabled yet and may be
 /// `operational`.
+///
+/// None if it may be.
 fn too_early(verdict: Verdict, operational: bool) -> Option<&'static str> {
     match verdict {
         Verdict::Waiting | Verdict::Operational => None,
@@ -163,6 +172,11 @@ fn too_early(verdict: Verdict, operational: bool) -> Option<&'static str> {
 impl SceneThread<'_> {
     /// Runs until the control thread has stopped; says so when the task has its verdict or the
     /// world is gone.
+    ///
+    /// # Errors
+    /// From the topics and the local policy; [`SessionError::RealTime`] if the world is gone or
+    /// turns out not to be ours before any drive has torque. After that the same reasons end the
+    /// run with its arms at rest, and are its reason.
     pub(super) fn run(mut self) -> Result<SceneEnd, SessionError> {
         let signals = Arc::clone(&self.seen.signals);
         let _ends = EndRunOnDrop(&signals);
@@ -249,6 +263,9 @@ impl SceneThread<'_> {
     }
 
     /// A policy step: the arms as they are now belong to the scene that was just shown.
+    ///
+    /// Reports for a policy process go out every step; a local policy is asked at its own interval,
+    /// in this thread, and its time is in `inference`.
     fn observe(
         &mut self,
         step: u64,

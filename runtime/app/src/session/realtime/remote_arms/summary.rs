@@ -1,4 +1,7 @@
 //! What a run's result says of drives and buses.
+//!
+//! Counters are those of the master's cycles alone; what the kernel counts on the interfaces is in
+//! the log ([`super::bus_log`]).
 
 use hal::ARM_NAMES;
 use trocar_canopen::master::Space;
@@ -9,6 +12,9 @@ use crate::rig::can::{BusArm, CanRig};
 use crate::session::summary::{CanArmSummary, CanBusSummary, CanSummary};
 
 /// How the drives of `rig` and their buses have been.
+///
+/// Cycle, bit rate and space are those of the first arm. To be called after the arms were taken
+/// down, which decides `confirmed_down`.
 pub(super) fn summary(rig: &CanRig, can: &CanOptions) -> CanSummary {
     let arms = rig.arms.iter().zip(rig.confirmed_down.iter());
     let arms = arms.zip(&can.config.arms).zip(ARM_NAMES);
@@ -27,6 +33,8 @@ pub(super) fn summary(rig: &CanRig, can: &CanOptions) -> CanSummary {
     }
 }
 
+/// Answers are summed over the arm's axes, buses are one entry each; `confirmed_down` is left to
+/// the caller. A fault of a bus may have no node.
 fn arm_summary(arm: &BusArm, interfaces: &[String], name: &'static str) -> CanArmSummary {
     let (plan, cycle) = (arm.plan(), arm.cycle());
     let health = cycle.axis_health();

@@ -62,8 +62,11 @@ pub struct TopicArms {
 
 /// The ports of each arm.
 pub(in super::super) struct Ports {
+    /// Keeps the topics open; other processes see it as this run.
     node: TopicNode,
+    /// One an arm, in arm order; of several messages only the newest is read.
     feedback: Vec<Subscriber<ArmFeedback>>,
+    /// One an arm, the same sequence number for all of one period.
     setpoints: Vec<Publisher<ArmSetpoint>>,
 }
 
@@ -80,6 +83,7 @@ impl ArmLink for TopicArms {
         "trocar simulator"
     }
 
+    /// Topics on which another process publishes set-points already are an error.
     fn open(&self, robot: &Robot, _clock: MonotonicClock) -> Result<Ports, SessionError> {
         let node = TopicNode::join(&arms_of(&self.topics))?;
         let (mut feedback, mut setpoints) = (Vec::new(), Vec::new());
@@ -116,6 +120,8 @@ impl ArmLink for TopicArms {
     }
 
     /// The arms get torque with the first enabled set-point.
+    ///
+    /// Polls for the permission once a period.
     fn enable(
         &self,
         linked: Linked,
@@ -147,6 +153,8 @@ impl ArmLink for TopicArms {
 }
 
 /// What `heard` says at `now`, by the system's clock, must be of now and without a fault.
+///
+/// 500 ms either way: far more than clocks of one machine differ, far less than a recording is old.
 fn check(heard: &str, message: &ArmFeedback, now: TimeNs) -> Result<(), SessionError> {
     if now.0.abs_diff(message.stamp.0) > STAMP_NS_MAX {
         let wrong = if message.stamp.0 > now.0 {
@@ -165,6 +173,7 @@ fn check(heard: &str, message: &ArmFeedback, now: TimeNs) -> Result<(), SessionE
     }
 }
 
+/// A thread's end: an error of a topic before its time.
 type Ended = Result<(), TopicError>;
 
 /// The threads beside the control thread. Dropping this ends them.
@@ -178,6 +187,8 @@ struct Links {
 
 impl Links {
     /// Sends what is left to be sent, and ends both threads; what had ended one before its time.
+    ///
+    /// Blocks until both threads are joined: the sender lingers 200 ms.
     fn close(&mut self) -> Option<String> {
         self.stop.store(true, Ordering::Release);
         let threads = self.threads.take()?;
@@ -201,6 +212,7 @@ impl Drop for Links {
 /// Arms that were heard, and are without torque.
 pub(in super::super) struct Linked {
     measured: MailboxReader<PerArm<Measured>>,
+    /// The control thread's way to the sending thread.
     commands: ToSender,
     links: Links,
 }
@@ -285,6 +297,8 @@ impl Rig for LinkedRig {
 }
 
 /// What an arm measured, by the run's clock.
+///
+/// The arm's own error passes as it is.
 fn measured_at(message: &ArmFeedback, clock: MonotonicClock) -> Measured {
     message.measured().map(|state| ArmState {
         stamp: clock.from_system(state.stamp),
@@ -293,6 +307,9 @@ fn measured_at(message: &ArmFeedback, clock: MonotonicClock) -> Measured {
 }
 
 /// Hands on what all arms measured last, whenever one has measured again.
+///
+/// Woken by whatever is published on the node, or after 10 ms. All arms are handed on at once, so
+/// one that has stopped ages beside another that has not.
 fn take_feedback(
     topics: &[Subscriber<ArmFeedback>],
     mut newest: Vec<Measured>,
@@ -319,6 +336,9 @@ fn take_feedback(
 
 /// Sends set-points as they come. In the end the arms, which rest, lose torque, also after a fault,
 /// with which they would hold.
+///
+/// In order and none left out, each with the system's stamp of its period. `stop` ends it after the
+/// queue is empty.
 fn send_setpoints(
     topics: &[Publisher<ArmSetpoint>],
     mut from: Consumer<PerArm<Setpoint>>,
@@ -359,6 +379,8 @@ fn send_setpoints(
 }
 
 /// The set-point of an arm at `now` that rests where `command` puts it, and lets go.
+///
+/// Its tail holds the same position, for a reader that hears nothing more.
 fn without_torque(command: &ArmCommand, now: TimeNs) -> Setpoint {
     let command = ArmCommand {
         stamp: now,
