@@ -1,5 +1,9 @@
 //! A trained ACT-PC network as a policy: what depth cameras see and arm states in, a chunk for each
 //! arm out.
+//!
+//! The way of an observation: depth images to a cloud by the checkpoint's recipe, cloud to tokens
+//! on the CPU, network, un-normalisation, absolute targets. No history: each answer depends on the
+//! present observation alone.
 
 use std::path::Path;
 
@@ -18,10 +22,13 @@ use trocar_data::perception::{CloudRecipe, Point};
 #[derive(Debug)]
 pub struct ActPcPolicy {
     config: ActPcConfig,
+    /// Launched kernel by kernel: it has no CUDA graph.
     network: FoldedActPc,
     device: Device,
     interface: Interface,
+    /// How clouds were made in training.
     cloud: CloudRecipe,
+    /// On the CPU, as is `action`.
     state: Normaliser,
     action: Normaliser,
 }

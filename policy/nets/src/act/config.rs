@@ -22,6 +22,8 @@ pub enum BackboneNorm {
 }
 
 /// By what the sum of absolute action errors is divided.
+///
+/// It is part of a checkpoint's recipe, since it changes what a loss curve's numbers mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LossDenominator {
@@ -48,7 +50,7 @@ pub enum DecoderOutput {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActConfig {
-    /// Steps in a chunk.
+    /// Steps in a chunk. 1 to 1024; in a policy that runs at most `hal::chunk::CHUNK_STEPS_MAX`.
     pub chunk_size: i64,
     /// Width of the transformer; a multiple of `n_heads` and of 4.
     pub dim_model: i64,
@@ -62,7 +64,7 @@ pub struct ActConfig {
     pub n_decoder_layers: i64,
     /// Layers of the variational encoder.
     pub n_vae_encoder_layers: i64,
-    /// Width of the latent.
+    /// Width of the latent. The paper's `z`; zero at inference.
     pub latent_dim: i64,
     /// Whether layers normalise before instead of after their work.
     pub pre_norm: bool,
@@ -80,6 +82,8 @@ pub struct ActConfig {
     pub backbone_norm: BackboneNorm,
     /// Stages of the ResNet-18 that are built: 4, as LeRobot's; 3 leave out the last, three
     /// quarters of its weights, and see twice as finely.
+    ///
+    /// An image side of `p` pixels gives `p / 2^(stages + 1)` tokens, rounded up at each halving.
     #[serde(default = "all_stages")]
     pub backbone_stages: usize,
     /// Numbers in `observation.state`.
@@ -88,12 +92,14 @@ pub struct ActConfig {
     pub action_dim: i64,
     /// Feature names of the cameras, in order (`observation.images.NAME`).
     pub cameras: Vec<String>,
-    /// Height of the images that enter the network, pixels.
+    /// Height of the images that enter the network, pixels. 32 to 4096; recorded frames must be a
+    /// whole multiple of it.
     pub image_height: i64,
     /// Width of the images that enter the network, pixels.
     pub image_width: i64,
 }
 
+/// What files from before there was a choice mean.
 const fn all_stages() -> usize {
     STAGES
 }
@@ -116,7 +122,7 @@ pub enum ActPreset {
 }
 
 /// Numbers of one arm in `observation.state` and in one action: six joints or pose numbers, and the
-/// jaw.
+/// jaw. State and relative action happen to be equally wide.
 pub const STATE_DIM: i64 = 7;
 
 impl ActConfig {
@@ -207,6 +213,9 @@ impl ActConfig {
     }
 
     /// What makes this configuration impossible to build, if anything does.
+    ///
+    /// Names the field, its value and the allowed range. Constructors assume that there is none;
+    /// loaders ask first.
     #[must_use]
     pub fn defect(&self) -> Option<String> {
         let sizes = [

@@ -1,4 +1,8 @@
 //! The loss of ACT: absolute errors of the actions, and the price of telling the style.
+//!
+//! A conditional variational autoencoder's bound with an L1 reconstruction:
+//! `L = |a - a'| + beta * KL(q(z | a, s) || N(0, I))` (Zhao et al. 2023, algorithm 1). `beta` is
+//! `kl_weight`, 10 as published.
 
 use serde::{Deserialize, Serialize};
 use tch::{Kind, TchError, Tensor};
@@ -15,12 +19,15 @@ pub struct Losses {
     /// Kullback-Leibler divergence of the latent from the standard normal, summed over it, mean
     /// over the batch; zero without a variational encoder.
     pub kl: Tensor,
-    /// `l1 + kl_weight * kl`: what is minimised.
+    /// `l1 + kl_weight * kl`: what is minimised. Zero-dimensional tensors stay on the device:
+    /// reading one waits for it.
     pub total: Tensor,
 }
 
 /// The loss of `predicted` against `actions`, both `(batch, steps, action)`, normalised; `is_pad`
 /// is `(batch, steps)`.
+///
+/// Errors of padded steps count as zero; see [`LossDenominator`] for what divides the sum.
 ///
 /// # Errors
 /// The network library's, if shapes do not fit.
@@ -70,7 +77,8 @@ pub fn l1_loss(
     )
 }
 
-/// Mean of `error` over steps that are not padded, by the named denominator.
+/// Mean of `error` over steps that are not padded, by the named denominator. Single precision
+/// whatever the inputs have. A batch of nothing but padding gives 0.
 ///
 /// # Errors
 /// The network library's, if shapes do not fit.
@@ -101,6 +109,8 @@ pub fn action_loss(
     }
 }
 
+/// `-1/2 sum(1 + log s^2 - m^2 - s^2)` over the latent, mean over the batch, in single precision
+/// (Kingma and Welling 2014, appendix B).
 pub(crate) fn kl_divergence(latent: &LatentDistribution) -> Result<Tensor, TchError> {
     let log_variance = latent.log_variance.f_to_kind(Kind::Float)?;
     let mean = latent.mean.f_to_kind(Kind::Float)?;

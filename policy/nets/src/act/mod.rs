@@ -5,6 +5,10 @@
 //!
 //! Source: reference note on policies, sections 2 and 3; checked against golden numbers in
 //! `tests/golden/`.
+//!
+//! At inference the chunk is a function of images and state: the latent is the mean of its prior,
+//! zero, and nothing is random. [`FoldedAct`] is the same function made for speed;
+//! [`crate::act_policy`] puts units, cameras and chunks around it.
 
 mod config;
 mod folded;
@@ -34,6 +38,7 @@ use crate::kernels::Kernels;
 use crate::parameters::{Init, ParameterError, ParameterSource, Parameters};
 use resnet::ResNet18;
 
+/// The key of the backbone, without the dot.
 const BACKBONE: &str = "model.backbone";
 
 /// What the keys of a backbone's tensors begin with.
@@ -54,11 +59,17 @@ pub(crate) fn check_frozen_backbone(
 #[derive(Debug)]
 pub struct Act {
     config: ActConfig,
+    /// Shared by all cameras.
     backbone: ResNet18,
+    /// `(width, channels, 1, 1)`: features to tokens.
     image_weight: Tensor,
+    /// `(width)`.
     image_bias: Tensor,
+    /// `(1, tokens, width)`, fixed sines.
     image_position: Tensor,
+    /// Everything behind the tokens.
     trunk: Trunk,
+    /// The same tensors by key; they share their memory.
     parameters: Parameters,
 }
 
@@ -149,7 +160,8 @@ impl Act {
 
     /// The chunk that training compares with the demonstration, and the latent's distribution.
     ///
-    /// Without a variational encoder the latent is zero.
+    /// Without a variational encoder the latent is zero. Dropout draws from the network library's
+    /// generator, which the caller seeds.
     ///
     /// # Errors
     /// The network library's, if shapes do not fit.
@@ -165,6 +177,9 @@ impl Act {
 
     /// What the backbone makes of `images` for [`Self::train_on`], outside of the library's own
     /// bookkeeping, and what [`Self::features_back_by_hand`] needs of it.
+    ///
+    /// For CUDA in bfloat16, where the library's backward pass spends half its time on layouts; see
+    /// [`crate::kernels`].
     ///
     /// # Errors
     /// The network library's, if shapes do not fit or the parameters have not 16 bits.
@@ -208,6 +223,7 @@ impl Act {
         self.trunk.train(&self.seen(&tokens), state, demonstration)
     }
 
+    /// The trunk's input; positions are the same for every observation.
     const fn seen<'a>(&'a self, tokens: &'a Tensor) -> EncoderInput<'a> {
         EncoderInput {
             tokens,

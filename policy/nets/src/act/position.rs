@@ -1,5 +1,9 @@
 //! Sine position tables: along a sequence for the variational encoder, over the image plane for
 //! image tokens.
+//!
+//! `pe(p, 2i) = sin(p / 10000^(2i / d))` and `pe(p, 2i + 1)` its cosine (Vaswani et al. 2017,
+//! section 3.5); in the plane as in DETR (Carion et al. 2020). Computed in double precision, then
+//! rounded.
 
 use core::f64::consts::TAU;
 

@@ -1,5 +1,8 @@
 //! ResNet-18 without its head: images to feature maps, at a 32nd of their size and with 512
 //! channels where all four stages are built, at a 16th and with 256 where three are.
+//!
+//! He et al. 2016, table 1. As torchvision builds it, but that the normalisation is frozen or by
+//! groups, both independent of the batch.
 
 pub(crate) mod by_hand;
 #[cfg(test)]
@@ -27,16 +30,19 @@ const STEM: ConvShape = ConvShape {
 /// Channels that one group of a group normalisation holds.
 const CHANNELS_PER_GROUP: i64 = 16;
 
+/// Added to a variance before its root, as PyTorch does.
 pub(super) const NORM_EPS: f64 = 1e-5;
 
 /// The backbone. Key names are torchvision's.
 #[derive(Debug)]
 pub(super) struct ResNet18 {
     pub(super) stem: Conv,
+    /// Two a stage.
     pub(super) blocks: Vec<Block>,
 }
 
 impl ResNet18 {
+    /// The first `stages` stages at `prefix`, fresh ones drawn as torchvision draws them.
     pub(super) fn new(
         source: &mut ParameterSource,
         prefix: &str,
@@ -93,10 +99,13 @@ impl ResNet18 {
 pub(super) struct Block {
     pub(super) first: Conv,
     pub(super) second: Conv,
+    /// 1x1 with the block's stride, where number of channels and size change; else the input itself
+    /// is added.
     pub(super) downsample: Option<Conv>,
 }
 
 impl Block {
+    /// A block at `key`; only the first block of a later stage has a stride of 2.
     fn new(
         source: &mut ParameterSource,
         key: &str,
@@ -162,6 +171,7 @@ impl Block {
     }
 }
 
+/// Channels in and out, side of the square filter, and stride; padding is half a side.
 #[derive(Clone, Copy)]
 struct ConvShape {
     inputs: i64,
@@ -173,6 +183,7 @@ struct ConvShape {
 /// A convolution without bias, and the normalisation after it.
 #[derive(Debug)]
 pub(super) struct Conv {
+    /// `(outputs, inputs, side, side)`.
     pub(super) weight: Tensor,
     pub(super) stride: i64,
     pub(super) padding: i64,
@@ -212,6 +223,7 @@ impl Conv {
         self.convolved_with(x, &self.weight, None)
     }
 
+    /// `x` by another `weight` of the same shape, and `shift` for a bias.
     fn convolved_with(
         &self,
         x: &Tensor,
@@ -222,6 +234,8 @@ impl Conv {
         x.f_conv2d(weight, shift, stride, padding, [1, 1], 1)
     }
 
+    /// Convolution and normalisation; on CUDA a frozen one goes into the filter, at every step anew
+    /// since the filter is trained.
     fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
         match &self.norm {
             // An accelerator waits for memory, which the filters take less of than the images.
@@ -267,6 +281,7 @@ impl Norm {
     }
 
     /// Batch normalisation with fixed statistics, as the scale and the shift that it amounts to.
+    /// `scale = weight / sqrt(variance + eps)`, `shift = bias - mean * scale`.
     fn frozen(
         source: &mut ParameterSource,
         key: &str,

@@ -1,4 +1,7 @@
 //! The encoder and decoder layers of ACT, normalising after (as published) or before their work.
+//!
+//! DETR's layers (Carion et al. 2020): positions are added to queries and keys in every layer,
+//! never to values, and the decoder's queries are learned.
 
 use tch::{TchError, Tensor};
 
@@ -10,6 +13,7 @@ use crate::parameters::{ParameterError, ParameterSource};
 #[derive(Debug)]
 pub(super) struct Encoder {
     pub(super) layers: Vec<EncoderLayer>,
+    /// None with normalisation after each layer's work, which leaves nothing to normalise.
     pub(super) norm: Option<LayerNorm>,
 }
 
@@ -35,7 +39,8 @@ impl Encoder {
         Ok(Self { layers, norm })
     }
 
-    /// `(batch, tokens, width)`; `position` is added to queries and keys of every layer.
+    /// `(batch, tokens, width)`; `position` is added to queries and keys of every layer. `allowed`
+    /// masks keys, as [`Attention::forward`] has it.
     pub(super) fn forward(
         &self,
         tokens: &Tensor,
@@ -54,6 +59,7 @@ impl Encoder {
     }
 }
 
+/// Self-attention, then a feed-forward layer.
 #[derive(Debug)]
 pub(super) struct EncoderLayer {
     pub(super) attention: Attention,
@@ -107,7 +113,9 @@ pub(super) struct Decoder {
 
 /// What the decoder looks at: the encoder's tokens and where they are.
 pub(super) struct Memory<'a> {
+    /// `(batch, tokens, width)`.
     pub(super) tokens: &'a Tensor,
+    /// `(batch or 1, tokens, width)`.
     pub(super) position: &'a Tensor,
 }
 
@@ -142,6 +150,7 @@ impl Decoder {
     }
 }
 
+/// Self-attention of the steps, cross-attention to the encoder's tokens, then a feed-forward layer.
 #[derive(Debug)]
 pub(super) struct DecoderLayer {
     pub(super) self_attention: Attention,
@@ -205,7 +214,8 @@ impl DecoderLayer {
     }
 }
 
-/// `x` plus what `work` makes of it, normalised before the work or after the sum.
+/// `x` plus what `work` makes of it, normalised before the work or after the sum. Pre-norm:
+/// `x + drop(work(norm(x)))`; post-norm: `norm(x + drop(work(x)))`.
 pub(super) fn residual(
     x: &Tensor,
     norm: &LayerNorm,

@@ -1,4 +1,8 @@
 //! What every ACT network has, whatever it sees: latent, state, transformer, action head.
+//!
+//! Shared by ACT and ACT-PC, which differ in how a view becomes tokens. Encoder tokens: latent,
+//! state, then what is seen; the decoder's steps attend to the encoder's output, and each becomes
+//! an action.
 
 use tch::{Kind, TchError, Tensor};
 
@@ -14,11 +18,17 @@ use crate::parameters::{Init, ParameterError, ParameterSource};
 pub(crate) struct Trunk {
     pub(super) encoder: Encoder,
     pub(super) decoder: Decoder,
+    /// `(batch, state)` to a token.
     pub(super) state_input: Linear,
+    /// `(batch, latent)` to a token.
     pub(super) latent_input: Linear,
+    /// `(2, width)`, learned: of the latent's token, then of the state's.
     pub(super) token_position: Tensor,
+    /// `(steps, width)`, learned: what tells the chunk's steps apart.
     pub(super) step_queries: Tensor,
+    /// A step of the decoder to an action.
     pub(super) action_head: Linear,
+    /// None in a network for inference, or trained without a latent.
     vae: Option<VaeEncoder>,
     latent_dim: i64,
     dropout: f64,
@@ -119,6 +129,7 @@ impl Trunk {
         Tensor::f_cat(&[&leading, seen.position], 1)
     }
 
+    /// From tokens, state and latent to the chunk, `(batch, steps, action)` in single precision.
     fn decode(
         &self,
         seen: &EncoderInput<'_>,

@@ -1,5 +1,9 @@
 //! The variational encoder: in training it reads the demonstrated chunk and says which style it
 //! has.
+//!
+//! `q(z | a, s)` of the paper: a BERT-like encoder over a class token, the state and the
+//! demonstrated actions, of which the class token's output gives mean and log-variance. Images are
+//! left out, as published, for faster training.
 
 use tch::{Kind, TchError, Tensor};
 
@@ -17,17 +21,21 @@ pub(crate) const VAE_PREFIX: &str = "model.vae_encoder";
 pub struct LatentDistribution {
     /// Mean.
     pub mean: Tensor,
-    /// Logarithm of the variance.
+    /// Logarithm of the variance. The logarithm, since a linear layer's output has any sign.
     pub log_variance: Tensor,
 }
 
+/// The encoder with its inputs and its output; `(batch, 2 + steps, width)` inside.
 #[derive(Debug)]
 pub(super) struct VaeEncoder {
     encoder: Encoder,
+    /// `(1, 2 + steps, width)`, a fixed sine table stored in the checkpoint.
     position: Tensor,
+    /// `(1, width)`, learned.
     class_token: Tensor,
     state: Linear,
     action: Linear,
+    /// To twice the latent: means, then log-variances.
     output: Linear,
 }
 
@@ -57,7 +65,7 @@ impl VaeEncoder {
     }
 
     /// `state` is `(batch, state)`, `actions` `(batch, steps, action)`, `is_pad` `(batch, steps)`,
-    /// true where padded.
+    /// true where padded. Padded steps are masked as keys; class token and state never are.
     pub(super) fn forward(
         &self,
         state: &Tensor,
@@ -87,6 +95,9 @@ impl VaeEncoder {
 
 impl LatentDistribution {
     /// The latent that standard normal `noise` `(batch, latent)` picks.
+    ///
+    /// `z = m + exp(log s^2 / 2) * noise`, through which gradients pass (the reparameterisation of
+    /// Kingma and Welling 2014).
     pub(super) fn sample(&self, noise: &Tensor) -> Result<Tensor, TchError> {
         let deviation = self.log_variance.f_div_scalar(2.0)?.f_exp()?;
         self.mean.f_add(&deviation.f_mul(noise)?)

@@ -43,7 +43,8 @@ impl Clouds {
     /// The batch of `clouds` for a network of `config`, on `device`.
     ///
     /// Which points belong together is found on the CPU, in plain Rust: the same on every machine,
-    /// and it can be done ahead while a network trains.
+    /// and it can be done ahead while a network trains. Centres by farthest-point sampling,
+    /// neighbours exhaustively.
     ///
     /// # Errors
     /// [`CloudsError`] if a cloud has another number of points than the network wants, or one that
@@ -75,6 +76,7 @@ impl Clouds {
     }
 }
 
+/// Refuses a cloud that would not fill its row of the tensor.
 fn check_count(cloud: usize, actual: usize, expected: i64) -> Result<(), CloudsError> {
     if i64::try_from(actual) == Ok(expected) {
         return Ok(());

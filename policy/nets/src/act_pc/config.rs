@@ -26,12 +26,15 @@ pub struct ActPcConfig {
     pub act: ActConfig,
     /// Points in the cloud.
     pub points: i64,
-    /// Tokens: centres that are chosen among the points.
+    /// Tokens: centres that are chosen among the points. Attention grows with its square.
     pub tokens: i64,
     /// Points around each centre that its token tells of.
     pub neighbours: i64,
     /// Whether tokens are made before the features of the points instead of from them
     /// (`pre_sample`).
+    ///
+    /// Then PointNet sees a group's maximum instead of single points, and `dim_model` must be its
+    /// width.
     pub pre_sample: bool,
     /// What the loss counts of an action's error.
     pub action_error: ActionError,

@@ -101,6 +101,7 @@ impl FoldedActPc {
         self.trunk.infer(&seen, state)
     }
 
+    /// PointNet over rows, `(rows, 3)` to `(rows, features)`.
     fn features(&self, mut x: Tensor) -> Result<Tensor, TchError> {
         for layer in &self.point_net {
             x = layer.rectified(&x)?;
@@ -110,6 +111,9 @@ impl FoldedActPc {
 
     /// The greatest of what the layer makes of each neighbour's place relative to the centre and
     /// its features; all are `(rows, ..)`.
+    ///
+    /// `max_j(W [p_j - c; f_j]) = max_j(W [p_j; f_j]) - W_p c` since `W_p c` is the same for all
+    /// `j`; the shift and ReLU, which are monotonic, follow the maximum.
     fn group(
         &self,
         points: &Tensor,

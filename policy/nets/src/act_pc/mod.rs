@@ -29,6 +29,8 @@ use crate::parameters::{ParameterError, ParameterSource, Parameters};
 use tokens::PointTokens;
 
 /// An ACT-PC network.
+///
+/// Its batch normalisations hold running statistics, which [`Self::train`] moves in place.
 #[derive(Debug)]
 pub struct ActPc {
     config: ActPcConfig,

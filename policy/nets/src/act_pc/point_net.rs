@@ -1,4 +1,7 @@
 //! PointNet: features of every point by itself, with batch normalisation.
+//!
+//! The same layers for each point (Qi et al. 2017), as a product over all points of a batch.
+//! Momentum and epsilon differ from layer to layer as in PointCloudMatters' code.
 
 use tch::{TchError, Tensor};
 
@@ -14,6 +17,7 @@ const WIDTHS: [i64; 5] = [64, 64, 64, 128, POINT_FEATURES];
 /// A linear layer without bias.
 #[derive(Debug)]
 pub(super) struct Mix {
+    /// `(outputs, inputs)`.
     pub(super) weight: Tensor,
 }
 
@@ -35,10 +39,15 @@ impl Mix {
 /// In training it normalises by what is in the batch, and its own statistics move towards that.
 #[derive(Debug)]
 pub(super) struct BatchNorm {
+    /// The trained scale.
     weight: Tensor,
+    /// The trained shift.
     bias: Tensor,
+    /// Running mean, which training moves.
     mean: Tensor,
+    /// Running variance, likewise.
     variance: Tensor,
+    /// The share of a batch's statistics that the running ones take over.
     momentum: f64,
     epsilon: f64,
 }
@@ -86,6 +95,7 @@ impl BatchNorm {
     }
 
     /// Its statistics as they are now, in one scale and one shift.
+    /// `scale = weight / sqrt(variance + epsilon)`, `shift = bias - mean * scale`.
     pub(super) fn fixed(&self) -> Result<Fixed, TchError> {
         let spread = self.variance.f_add_scalar(self.epsilon)?;
         let scale = self.weight.f_mul(&spread.f_rsqrt()?)?;
@@ -94,6 +104,7 @@ impl BatchNorm {
     }
 }
 
+/// Five layers of linear, batch normalisation, ReLU.
 #[derive(Debug)]
 pub(super) struct PointNet {
     pub(super) layers: Vec<(Mix, BatchNorm)>,

@@ -15,7 +15,9 @@ const TEMPERATURE: f64 = 10_000.0;
 #[derive(Debug)]
 pub(super) struct PointTokens {
     pub(super) point_net: PointNet,
+    /// From a neighbour's relative place and features to what the maximum is taken of.
     pub(super) mix: Mix,
+    /// Before the maximum; in training its statistics are over all neighbours of all groups.
     pub(super) norm: BatchNorm,
     pub(super) pre_sample: bool,
     pub(super) width: i64,
@@ -113,6 +115,8 @@ pub(super) fn pick(values: &Tensor, indices: &Tensor) -> Result<Tensor, TchError
 /// width)`.
 ///
 /// A third of the width for each axis: first the sines, then the cosines; what is left is zero.
+/// Angles are metres over periods from 1 to nearly 10000, so that within a few centimetres even the
+/// fastest sine turns little.
 pub(super) fn space_position(centres: &Tensor, width: i64) -> Result<Tensor, TchError> {
     let third = width / 3;
     let index = Tensor::f_arange(third, (Kind::Float, centres.device()))?;

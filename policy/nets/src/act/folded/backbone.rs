@@ -1,4 +1,8 @@
 //! The backbone with its fixed normalisations inside the convolutions, channels last in memory.
+//!
+//! A frozen normalisation is a scale and a shift for each channel, `y = s * (w * x) + t`, so that
+//! `s * w` is a filter and `t` its bias: one pass over memory less for every convolution. Group
+//! normalisation depends on the picture and stays.
 
 use tch::{Kind, TchError, Tensor};
 
@@ -50,6 +54,7 @@ pub(super) struct TorchBackbone {
     blocks: Vec<FoldedBlock>,
 }
 
+/// A residual block; see `act::resnet::Block`.
 #[derive(Debug)]
 struct FoldedBlock {
     first: FoldedConv,
@@ -60,13 +65,17 @@ struct FoldedBlock {
 /// A convolution and what is left of its normalisation.
 #[derive(Debug)]
 struct FoldedConv {
+    /// `(outputs, inputs, side, side)`, channels last in memory.
     weight: Tensor,
+    /// `(outputs)`; none before a group normalisation.
     bias: Option<Tensor>,
     stride: i64,
     padding: i64,
+    /// None where the normalisation is in the filter.
     group_norm: Option<GroupNorm>,
 }
 
+/// Its scale and shift, `(channels)` each; statistics are taken of each picture.
 #[derive(Debug)]
 struct GroupNorm {
     groups: i64,
@@ -75,6 +84,7 @@ struct GroupNorm {
 }
 
 impl TorchBackbone {
+    /// Filters are scaled in single precision and only then rounded to `kind`.
     pub(super) fn new(backbone: &ResNet18, kind: Kind) -> Result<Self, TchError> {
         let block = |block: &Block| {
             let downsample = block.downsample.as_ref();
@@ -96,6 +106,7 @@ impl TorchBackbone {
         })
     }
 
+    /// As [`FoldedBackbone::forward`]; ReLU works in place, on tensors that nobody else sees.
     pub(super) fn forward(&self, images: &Tensor) -> Result<Tensor, TchError> {
         let mut x = self.stem.forward(images)?;
         // Max pooling commutes with ReLU, and leaves fewer numbers for it.

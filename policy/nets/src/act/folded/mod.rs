@@ -5,6 +5,10 @@
 //! to queries and keys, and the token of the latent, which is zero, become biases; the first
 //! decoder layer's attention of the steps to each other, which starts from zeros, becomes a
 //! constant with the queries that follow from it. Nothing of the variational encoder is kept.
+//!
+//! The trained network in `super` is the reference: `tests` compares both, and `tests/golden`
+//! compares that with LeRobot's numbers. An inference allocates in the network library, and on CUDA
+//! after the first one only launches its graph.
 
 mod backbone;
 mod native_backbone;
@@ -29,11 +33,16 @@ pub struct FoldedAct {
     network: Network,
 }
 
+/// What is computed for an observation, in this order: backbone, projection of its features to
+/// tokens, transformer.
 #[derive(Debug)]
 struct Network {
     backbone: FoldedBackbone,
+    /// The 1x1 convolution from the backbone's channels to the transformer's width, as a linear
+    /// layer over pixels.
     image_input: Affine,
     trunk: FoldedTrunk,
+    /// Precision of weights and activations; the chunk is single precision whatever it is.
     kind: Kind,
 }
 
@@ -87,6 +96,7 @@ impl FoldedAct {
 }
 
 impl Network {
+    /// As [`FoldedAct::infer`], kernel by kernel.
     fn infer(&mut self, images: &Tensor, state: &Tensor) -> Result<Tensor, TchError> {
         let batch = images.size()[0];
         let images = images.f_to_kind(self.kind)?.f_flatten(0, 1)?;

@@ -11,11 +11,14 @@ use crate::layers::vectors::Processor;
 /// The backbone and the memory that it works in.
 #[derive(Debug)]
 pub(super) struct NativeBackbone {
+    /// 7x7 convolution, ReLU and max pooling as one.
     stem: Stem,
     blocks: Vec<NativeBlock>,
+    /// Planes and scratch memory; kept from inference to inference.
     workspace: Workspace,
 }
 
+/// A residual block; its sum and second ReLU are the epilogue of `second`.
 #[derive(Debug)]
 struct NativeBlock {
     first: Convolution,
@@ -23,10 +26,13 @@ struct NativeBlock {
     downsample: Option<Convolution>,
 }
 
-/// A convolution, the way that is the fastest for the pictures that it gets.
+/// A convolution, the way that is the fastest for the pictures that it gets. Which one is decided
+/// once, by the size of its outputs.
 #[derive(Debug)]
 enum Convolution {
+    /// Of 3x3 with stride 1, where the tiles fit.
     Tiles(Winograd),
+    /// All others.
     Taps(Direct),
 }
 
@@ -121,6 +127,7 @@ impl Convolution {
         })
     }
 
+    /// `x` through the convolution, plus `beside`, with ReLU if it was built so.
     fn apply(
         &self,
         x: &Plane,

@@ -1,4 +1,8 @@
 //! Everything behind the tokens of what is seen.
+//!
+//! Tokens of all observations are rows of one matrix, `(batch * tokens, width)`, so that every
+//! linear layer is one product; only attention looks at the batch. In the order latent, state, then
+//! what is seen.
 
 use tch::{Kind, TchError, Tensor};
 
@@ -32,19 +36,24 @@ pub(crate) struct FoldedEncoderInput<'a> {
     pub(crate) position: Option<&'a Tensor>,
 }
 
+/// Self-attention and feed-forward layer, each in a residual connection.
 #[derive(Debug)]
 struct FoldedEncoderLayer {
     attention: SelfAttention,
     feed_forward: FoldedFeedForward,
     norms: [LayerNorm; 2],
+    /// Whether a normalisation comes before the work, as in [`residual`].
     pre_norm: bool,
 }
 
+/// Self-attention of the steps (or what it always gives), cross-attention, feed-forward layer.
 #[derive(Debug)]
 struct FoldedDecoderLayer {
     start: Start,
     cross_attention: CrossAttention,
     feed_forward: FoldedFeedForward,
+    /// Of the cross-attention and of the feed-forward layer; that of the self-attention is in
+    /// `start`.
     norms: [LayerNorm; 2],
     pre_norm: bool,
 }
@@ -66,6 +75,7 @@ enum Start {
     },
 }
 
+/// `narrow(relu(widen(x)))`; dropout is a matter of training.
 #[derive(Debug)]
 struct FoldedFeedForward {
     widen: Affine,
@@ -74,6 +84,9 @@ struct FoldedFeedForward {
 
 impl FoldedTrunk {
     /// `position` `(tokens, width)` of what is seen, if it is always the same.
+    ///
+    /// No gradient passes through its tensors; some share their memory with the trained ones, which
+    /// must not change while it lives.
     pub(crate) fn new(
         trunk: &Trunk,
         position: Option<&Tensor>,

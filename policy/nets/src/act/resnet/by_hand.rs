@@ -1,5 +1,9 @@
 //! The backbone's training with kernels of our own between the convolutions: forward, saving what
 //! the backward pass needs, and backward.
+//!
+//! Autograd keeps every intermediate tensor and runs each elementwise operation as a kernel of its
+//! own. Here a residual block keeps its two convolutions' outputs, and normalisation, sum and ReLU
+//! are one kernel, in both directions.
 
 use tch::{TchError, Tensor};
 
@@ -9,17 +13,23 @@ use crate::kernels::{Affine, Kernels, OfAffine, SavedForBackward};
 
 /// What the backward pass needs of the backbone's forward pass.
 pub struct SavedActivations {
+    /// `(n, 3, h, w)`, channels last, for the gradient of the stem's filters.
     images: Tensor,
     /// The stem's answer, which of nine pixels it is of, and what it was made of.
     stem: (Tensor, Tensor, SavedForBackward),
+    /// In the network's order.
     blocks: Vec<KeptBlock>,
 }
 
+/// What a residual block keeps: what each normalisation needs, and the activations that the
+/// filters' gradients need.
 struct KeptBlock {
     first: SavedForBackward,
+    /// After the first ReLU.
     between: Tensor,
     second: SavedForBackward,
     downsample: Option<SavedForBackward>,
+    /// After the second ReLU; its sign is the ReLU's mask.
     answer: Tensor,
 }
 
@@ -143,6 +153,7 @@ impl Conv {
         x.f_conv2d::<&Tensor>(&self.weight, None, stride, padding, [1, 1], 1)
     }
 
+    /// The normalisation as the kernels take it.
     const fn affine(&self) -> Affine<'_> {
         match &self.norm {
             Norm::Frozen { scale, shift } => Affine::Fixed(scale, shift),

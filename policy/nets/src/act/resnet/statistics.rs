@@ -1,5 +1,8 @@
 //! The statistics that a frozen batch normalisation takes from pictures before a training from
 //! scratch.
+//!
+//! Frozen statistics of 0 and 1 would normalise nothing; measured ones give every layer's output
+//! unit variance at the start, as batch normalisation does.
 
 use std::collections::BTreeMap;
 
@@ -10,6 +13,7 @@ use super::{Conv, NORM_EPS, ResNet18};
 /// Mean and variance of each normalisation, by torchvision's key with `prefix` before it.
 struct Measured<'a> {
     prefix: &'a str,
+    /// `(channels)` each.
     found: BTreeMap<String, Tensor>,
 }
 
