@@ -3,6 +3,9 @@
 use crate::node::{Demand, Feedback};
 
 /// A motor: follows its demand as well as it can.
+///
+/// Called by [`Network`](crate::Network) every 0.5 ms of virtual time and once with no time when
+/// the drive is added.
 pub trait Motor {
     /// Lets `step_ns` pass under `demand` and tells where the motor is then.
     fn step(&mut self, step_ns: u64, demand: &Demand) -> Feedback;

@@ -1,4 +1,8 @@
 //! Buses with emulated drives and a master, in virtual time.
+//!
+//! Virtual time moves only in `advance`: frames arrive in the order of their last bits, and every
+//! 0.5 ms each drive reads its motor and looks at its clock. The same calls give the same frames,
+//! whatever the host does.
 
 mod passage;
 mod seat;
@@ -16,6 +20,8 @@ use seat::Seat;
 pub const NODE_STEP_NS: u64 = 500_000;
 
 /// Frames that a drive's controller holds.
+///
+/// What does not fit is lost, as in a real controller.
 const NODE_QUEUE: usize = 64;
 /// Frames of strangers that wait for a bus; what comes beyond that is lost.
 const STRANGER_QUEUE: usize = 256;
@@ -36,14 +42,20 @@ pub enum Tampering {
 }
 
 /// Decides about every frame: line, time, frame.
+///
+/// Called once a frame, when its last bit has passed; frames that it delays or repeats do not come
+/// by again.
 pub type Tamper = Box<dyn FnMut(u8, TimeNs, &Frame) -> Tampering>;
 
 /// A drive on a bus: its node, and the motor that it turns.
 struct Drive<M> {
+    /// Index of its bus.
     line: usize,
+    /// Its controller on that bus.
     port: usize,
     node: Node,
     motor: M,
+    /// Without power it neither hears nor acts, and its motor is not stepped.
     powered: bool,
 }
 
@@ -53,6 +65,7 @@ struct Line {
     masters: Vec<Seat>,
     /// Whose frames no node here receives.
     stranger: usize,
+    /// Frames that [`Tampering::Delay`] holds back, with the time at which they arrive.
     delayed: Vec<(TimeNs, Delivery)>,
 }
 
@@ -70,8 +83,12 @@ impl<M> core::fmt::Debug for Network<M> {
 ///
 /// There is one master, for whom this is a [`Bus`](trocar_canopen::master::Bus); others can be
 /// added. They receive each other's frames, as on any bus.
+///
+/// At construction the master is number 0 and the time 0.
 pub struct Network<M> {
+    /// Of the newest event; frames that are sent are queued at this time.
     now: TimeNs,
+    /// A whole multiple of [`NODE_STEP_NS`].
     next_step: TimeNs,
     lines: Vec<Line>,
     drives: Vec<Drive<M>>,
@@ -109,6 +126,11 @@ impl<M: Motor> Network<M> {
     }
 
     /// Puts a drive on `line` and switches it on.
+    ///
+    /// Its boot-up message is queued at once.
+    ///
+    /// # Panics
+    /// If there is no such bus.
     pub fn add(&mut self, line: u8, node: Node, motor: M) {
         let line = usize::from(line);
         let port = self.lines[line].wire.attach(Order::Priority, NODE_QUEUE);

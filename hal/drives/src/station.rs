@@ -18,11 +18,14 @@ pub struct Station<M, B> {
     bus: B,
     lines: u8,
     frames: Vec<Frame>,
+    /// See [`Self::lost`].
     lost: u64,
 }
 
 impl<M: Motor, B: Bus> Station<M, B> {
     /// `network` with `lines` buses, seen from outside on the lines of `bus`.
+    ///
+    /// The outer bus takes the place of the network's first master.
     #[must_use]
     pub fn new(network: Network<M>, bus: B, lines: u8) -> Self {
         Self {
@@ -95,6 +98,7 @@ impl<M: Motor, B: Bus> Station<M, B> {
         }
     }
 
+    /// Of `self.frames`, of which the first `taken` found room.
     fn count_lost(&mut self, taken: usize) {
         let left = self.frames.len() - taken;
         self.lost += u64::try_from(left).unwrap_or(u64::MAX);

@@ -1,4 +1,8 @@
 //! One bus on which frames take their time and the lowest identifier goes first.
+//!
+//! A frame takes its exact length on the wire, stuff bits included (`bus_load::bits`), at the bit
+//! rate. Arbitration takes place when the bus is free: the lowest identifier of what is queued then
+//! wins, and a frame that has begun is not interrupted. No bit errors, no error frames.
 
 use std::collections::VecDeque;
 
@@ -19,7 +23,9 @@ pub enum Order {
 #[derive(Clone, Debug)]
 struct Port {
     order: Order,
+    /// Frames, the one on the wire not among them.
     capacity: usize,
+    /// Off the bus its frames wait, and nobody hears them.
     attached: bool,
     queue: VecDeque<(TimeNs, Frame)>,
 }
@@ -70,7 +76,9 @@ pub struct Wire {
     bit_rate: u32,
     ports: Vec<Port>,
     sending: Option<Sending>,
+    /// When the newest frame's last bit was sent; the next may begin then.
     idle_since: TimeNs,
+    /// Since the beginning, frames under way in full.
     busy_ns: u64,
     frames: u64,
     collisions: u64,
@@ -132,6 +140,8 @@ impl Wire {
 
     /// The next frame that arrives by `until`. Frames sent because of a delivery must be queued
     /// before the next call.
+    ///
+    /// Linear in ports and queued frames.
     pub fn next(&mut self, until: TimeNs) -> Option<Delivery> {
         let sending = match self.sending {
             Some(sending) => sending,
@@ -151,6 +161,10 @@ impl Wire {
     }
 
     /// Whoever has the lowest identifier when the bus is free begins to send.
+    ///
+    /// Of equal identifiers the lowest port wins, and the collision is counted if their frames
+    /// differ; a real bus would have an error frame. None if nobody has anything to begin by
+    /// `until`.
     fn arbitrate(&mut self, until: TimeNs) -> Option<Sending> {
         let attached = || self.ports.iter().filter(|port| port.attached);
         let first = attached()

@@ -1,6 +1,9 @@
 //! The electronic data sheet: the dictionary as a text that any CANopen tool reads.
 //!
 //! CiA 306-1, sections 4.5 (file and device), 4.6 (object dictionary).
+//!
+//! The text is deterministic: objects by index, dates fixed. A test compares it with the committed
+//! file, so that table and data sheet cannot drift apart.
 
 use std::fmt::Write as _;
 
@@ -8,6 +11,9 @@ use super::object::{Access, Entry, Mapping, Object, Preset, Shape};
 use super::table::{PDO_COUNT, PRODUCT_CODE, REVISION};
 
 /// The data sheet of a drive with `objects`, as it lies in `config/eds/trocar_drive.eds`.
+///
+/// Sections in this order: file, device, dummies, comments, the three lists of objects, then one
+/// section an object and sub-index. Limits and presets are decimal.
 #[must_use]
 pub fn render(objects: &[Object]) -> String {
     let mut text = header();
@@ -47,6 +53,8 @@ const BIT_RATES: [(u32, u8); 8] = [
 ];
 
 /// The sections of CiA 306 that describe file and device.
+///
+/// `Granularity=8` says that mappings are in whole bytes.
 fn header() -> String {
     let rates: String = BIT_RATES
         .iter()

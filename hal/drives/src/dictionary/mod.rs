@@ -22,6 +22,8 @@ pub struct Dictionary {
 
 /// A sub-index with its present value. `low` and `high` bound numbers; `preset` is what a reset
 /// restores.
+///
+/// A look-up is a binary search over the addresses.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
     address: Address,

@@ -28,6 +28,8 @@ pub const PRODUCT_CODE: u32 = 0x5452_4F43;
 pub const REVISION: u32 = 0x0001_0000;
 
 /// A servo drive of the device profile 402.
+///
+/// Low word 0192h, the profile 402; high word 0002h, a servo drive.
 const DEVICE_TYPE: i64 = 0x0002_0192;
 
 /// All objects, by index.

@@ -9,6 +9,8 @@ use trocar_canopen::master::Received;
 
 impl<M: Motor> Network<M> {
     /// Lets time pass until `until`, frame by frame and step by step.
+    ///
+    /// A step at the very time `until` is made. Frames that arrive at a step come before it.
     pub fn advance(&mut self, until: TimeNs) {
         while self.next_step <= until {
             self.exchange(self.next_step);
@@ -27,6 +29,8 @@ impl<M: Motor> Network<M> {
     }
 
     /// Delivers everything that arrives by `until`, in order of time.
+    ///
+    /// Bus by bus: lines are independent but for the drives' steps, between which this runs.
     fn exchange(&mut self, until: TimeNs) {
         for line in 0..self.lines.len() {
             loop {

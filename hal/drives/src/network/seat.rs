@@ -9,7 +9,9 @@ use trocar_canopen::master::{Bus, Received};
 
 /// A master's controller on one bus.
 pub(super) struct Seat {
+    /// On the wire of its bus.
     pub(super) port: usize,
+    /// What has arrived since the last `receive`, unbounded.
     pub(super) inbox: Vec<Received>,
 }
 
@@ -27,6 +29,9 @@ impl<M: Motor> Network<M> {
     }
 
     /// As [`Bus::send`], for `master`.
+    ///
+    /// Gives how many found room, in order; the rest are not queued. 0 for a bus or a master that
+    /// is not there.
     pub fn send_as(&mut self, master: usize, line: u8, frames: &[Frame]) -> usize {
         let now = self.now;
         let Some(line) = self.lines.get_mut(usize::from(line)) else {

@@ -1,4 +1,8 @@
 //! What is wrong at the moment, the history of it, and the emergencies that tell about it.
+//!
+//! A condition is reported once when it begins, with an emergency and an entry in 1003h, and lasts
+//! until it is resolved. When the last one is over, and no fault of the drive lasts, an emergency
+//! with code 0000h says so. The inhibit time 1015h, in 100 µs, is between any two.
 
 use super::{Node, Outbox};
 use crate::dictionary::Dictionary;
@@ -56,7 +60,9 @@ impl Alarm {
 /// What is wrong, and what waits to be sent.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Alarms {
+    /// A bit for each [`Alarm`].
     active: u8,
+    /// Oldest first, without gaps.
     waiting: [Option<Emergency>; WAITING_MAX],
     last_sent: Option<TimeNs>,
 }
@@ -84,6 +90,9 @@ impl Alarms {
     }
 
     /// Sends what the inhibit time allows.
+    ///
+    /// `blocked` in NMT stopped, where emergencies wait. With an invalid COB-ID (bit 31 of 1014h)
+    /// they count as sent.
     pub(super) fn flush(
         &mut self,
         now: TimeNs,
@@ -169,7 +178,8 @@ impl Node {
         self.send_emergency(now, code, out);
     }
 
-    /// Records an error in 1003h and 1001h, and queues the emergency.
+    /// Queues an emergency with the error register as it is now, and sends what the inhibit time
+    /// allows.
     fn send_emergency(&mut self, now: TimeNs, code: ErrorCode, out: &mut Outbox) {
         self.alarms.queue(Emergency {
             code,

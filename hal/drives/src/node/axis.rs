@@ -15,12 +15,20 @@ pub struct AxisConfig {
     /// Counts a turn of the motor, 608Fh.
     pub counts_per_turn: u32,
     /// Least and greatest position, counts.
+    ///
+    /// 607Bh and, as preset and widest setting, 607Dh.
     pub range: (i32, i32),
     /// Greatest speed, counts/s, 607Fh. 6080h says the same in whole turns a minute, rounded up.
+    ///
+    /// 0 counts as 1.
     pub speed_max: u32,
     /// Deceleration of a ramp and of a quick stop, counts/s².
+    ///
+    /// 6084h and 6085h.
     pub decelerations: (u32, u32),
     /// Following error window, counts.
+    ///
+    /// 6065h; FFFF FFFFh for none.
     pub following_window: u32,
     /// Whether leaving operational for pre-operational counts as a lost connection, too. CiA 402-2
     /// has 6007h act when NMT stopped is entered, and says nothing of pre-operational.

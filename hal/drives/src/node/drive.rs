@@ -3,6 +3,10 @@
 //!
 //! CiA 402-2, clauses 8 (power), 12 (cyclic synchronous position), 10 (homing), and the option
 //! codes 6007h and 605Ah to 605Eh.
+//!
+//! All numbers are in the units of the object dictionary: counts of the encoder, counts/s,
+//! counts/s², per mille of the rated torque. Positions of the motion (`motion`) count from home,
+//! those of [`Feedback`] and [`Demand`] from the encoder's own zero; `offset` is between them.
 
 mod control;
 mod follow;
@@ -26,8 +30,12 @@ pub struct Feedback {
     /// Position as the encoder counts.
     pub position_counts: f64,
     /// Velocity, counts/s.
+    ///
+    /// Reported in 606Ch; a stop has ended once it is small.
     pub velocity_counts_s: f64,
     /// Torque, per mille of the rated one.
+    ///
+    /// Reported in 6077h.
     pub torque_per_mille: f64,
 }
 
@@ -35,12 +43,18 @@ pub struct Feedback {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Demand {
     /// Whether it has torque at all.
+    ///
+    /// Without it the position is where the motor is.
     pub torque: bool,
     /// Position as the encoder counts.
+    ///
+    /// Always within 607Bh, the encoder's range.
     pub position_counts: f64,
     /// Velocity, counts/s.
     pub velocity_counts_s: f64,
     /// Greatest torque, per mille of the rated one.
+    ///
+    /// 6072h.
     pub torque_per_mille_max: f64,
 }
 
@@ -51,6 +65,9 @@ const REST_PART: f64 = 100.0;
 const REST_NS_MAX: u64 = 100_000_000;
 
 /// What happens at the end of a stop.
+///
+/// An event of the power state machine that a transition has put off until the axis stands: with it
+/// the drive loses its torque or leaves a quick stop or a fault reaction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum AtRest {
     Stay,
@@ -61,6 +78,7 @@ enum AtRest {
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
     state: PowerState,
+    /// 6061h: what 6060h was last set to, if the drive has it.
     mode: Mode,
     motion: Motion,
     at_rest: AtRest,
@@ -69,14 +87,21 @@ pub(super) struct Drive {
     feedback: Feedback,
     /// Added to the encoder's counts.
     offset: f64,
+    /// Lost at power-on and at the start of a homing that moves.
     homed: bool,
+    /// Some while a homing that moves is under way.
     search: Option<homing::Search>,
+    /// 6040h as it was written last; edges are against this one.
     control: u16,
     /// Whether something else than "enable operation" was said since the quick stop began.
     rearmed: bool,
+    /// Bit 8 of the control word.
     halted: bool,
+    /// The newest target was cut by 607Dh or the greatest speed: bit 11 of the status word.
     limited: bool,
+    /// Since when the following error is beyond 6065h; 6066h counts from here.
     deviates_since: Option<TimeNs>,
+    /// Kept until the fault is reset.
     register: u8,
 }
 
@@ -103,6 +128,8 @@ impl Default for Drive {
 }
 
 /// The interpolation period, 60C2h, as near as the drive can do it, ns.
+///
+/// `value * 10^exponent` s, sub-indices 1 and 2, within 0.25 to 20 ms.
 pub(super) fn interpolation_ns(dictionary: &Dictionary) -> u64 {
     let value = dictionary.get_as(index::PERIOD_VALUE);
     let exponent = dictionary.get_as(index::PERIOD_EXPONENT);
@@ -112,6 +139,8 @@ pub(super) fn interpolation_ns(dictionary: &Dictionary) -> u64 {
 }
 
 /// The greatest speed, counts/s: the lower one of 607Fh and 6080h.
+///
+/// 6080h is in turns a minute: a sixtieth of it, times the counts a turn of 608Fh.
 pub(super) fn speed_max(dictionary: &Dictionary) -> f64 {
     let get = |address| real(dictionary.get(address));
     let turn = get(index::ENCODER_COUNTS) / get(index::ENCODER_TURNS);

@@ -5,6 +5,14 @@
 //! [`Outbox`]. Between them, [`Node::feedback`] tells where the motor is and [`Node::demand`] where
 //! it should be. Whatever comes over the bus, the demand stays inside the axis's range and below
 //! its greatest speed.
+//!
+//! A frame goes: NMT and heartbeats by their default identifiers, SDO requests if the node is not
+//! stopped, SYNC by the identifier in 1005h, process data by those of the RPDOs and in operational
+//! alone. Whatever changes the drive writes the actual values and the status word into the
+//! dictionary.
+//!
+//! Not emulated: LSS, TIME, guarding, remote frames, block transfers, profile position and the
+//! other modes.
 
 mod alarm;
 mod axis;
@@ -35,18 +43,25 @@ pub use axis::AxisConfig;
 pub use drive::{Demand, Feedback};
 
 /// An emulated drive.
+///
+/// `state` is [`NmtState::BootUp`] until it is powered; in that state it neither hears nor says
+/// anything.
 #[derive(Clone, Debug)]
 pub struct Node {
     id: NodeId,
     config: AxisConfig,
     dictionary: Dictionary,
     state: NmtState,
+    /// The SDO server's; one client at a time.
     transfer: Transfer,
+    /// RPDO 1 to 4.
     receive: [Receive; 4],
+    /// TPDO 1 to 4.
     transmit: [Transmit; 4],
     watches: Watches,
     alarms: Alarms,
     drive: Drive,
+    /// 1011h was written: the presets of the data sheet come back at the next reset.
     restore: bool,
 }
 
@@ -104,6 +119,9 @@ impl Node {
     }
 
     /// Starts the node: boot-up, then pre-operational.
+    ///
+    /// The drive is not homed then: the home offset of before is lost, as that of an incremental
+    /// encoder.
     pub fn power_on(&mut self, now: TimeNs, out: &mut Outbox) {
         self.reset(Area::All, now, out);
     }
@@ -126,6 +144,9 @@ impl Node {
     }
 
     /// Takes a frame that another node sent.
+    ///
+    /// Frames of the node's own must not be handed back to it: a heartbeat under its number is
+    /// taken for a second node with that number.
     pub fn on_frame(&mut self, now: TimeNs, frame: &Frame, out: &mut Outbox) {
         if self.state == NmtState::BootUp {
             return;
@@ -163,6 +184,10 @@ impl Node {
     }
 
     /// Lets time pass until `now`.
+    ///
+    /// In this order: ramps and homing, the heartbeat, the watches over master and SYNC, the
+    /// following error window, event-driven TPDOs, the SDO time-out, emergencies that waited for
+    /// their inhibit time.
     pub fn on_time(&mut self, now: TimeNs, out: &mut Outbox) {
         if self.state == NmtState::BootUp {
             return;
@@ -208,6 +233,8 @@ impl Node {
 
     /// Enters an NMT state. Timers and process data start anew; an axis without process data stops
     /// as 6007h says.
+    ///
+    /// PDOs that wait for a SYNC are dropped, and SYNC counts of TPDOs begin at zero.
     fn enter(&mut self, now: TimeNs, state: NmtState) {
         if state == self.state {
             return;
@@ -265,6 +292,10 @@ impl Node {
     }
 
     /// A SYNC: the set-points of synchronous RPDOs take effect, then synchronous TPDOs are sent.
+    ///
+    /// A SYNC has a counter byte if and only if 1019h is not 0; another length is ignored and
+    /// raises an emergency. A valid one is noted in pre-operational too; entering another state
+    /// forgets it.
     fn on_sync(&mut self, now: TimeNs, data: &[u8], out: &mut Outbox) {
         let counted = self.dictionary.get(index::SYNC_COUNTER) != 0;
         let sync = match Sync::parse(data) {
@@ -289,6 +320,9 @@ impl Node {
     }
 
     /// The values that the node itself changes.
+    ///
+    /// The status word's remote bit (9) is set in operational alone, its warning bit (7) while an
+    /// alarm of the communication lasts.
     fn refresh(&mut self, now: TimeNs) {
         let remote = self.state == NmtState::Operational;
         let warning = self.alarms.register() != 0;

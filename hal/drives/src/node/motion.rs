@@ -1,4 +1,7 @@
 //! Where a drive sends its motor: at rest, along a line to the next set-point, or down a ramp.
+//!
+//! A pure function of time: nothing is stepped, so a drive that is asked late answers the same.
+//! Continuous in position; the velocity may jump from one line to the next.
 
 use hal::TimeNs;
 use trocar_canopen::number::{nanoseconds, seconds};
@@ -13,6 +16,8 @@ pub(super) enum Motion {
     },
     /// To a set-point within an interpolation period. Without a new one the line goes on for
     /// another period and then ends in a ramp.
+    ///
+    /// The second period covers a SYNC that is late or lost without a stop.
     Line {
         /// Since when.
         start: TimeNs,
@@ -26,6 +31,8 @@ pub(super) enum Motion {
         deceleration: f64,
     },
     /// To rest.
+    ///
+    /// Rest after `|v| / d` and a way of `v^2 / (2 d)`.
     Ramp {
         /// Since when.
         start: TimeNs,
@@ -88,6 +95,8 @@ impl Motion {
     }
 
     /// From here down a ramp.
+    ///
+    /// A deceleration below 1 count/s² counts as 1. Of an axis at rest it is a ramp of no length.
     pub(super) fn stopped(&self, now: TimeNs, deceleration: f64) -> Self {
         let (from, velocity) = self.at(now);
         Self::Ramp {

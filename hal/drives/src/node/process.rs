@@ -1,6 +1,9 @@
 //! Process data: packing and unpacking by the mapping, and when a PDO is sent or takes effect.
 //!
 //! CiA 301, sections 7.2.2 (services) and 7.5.2.35 to 38 (1400h to 1BFFh).
+//!
+//! A value goes over the bus as its type's bytes, lowest first, one mapped object after the other.
+//! Up to eight objects of whole bytes fit a PDO: the drive has no bit mapping.
 
 use super::alarm::Alarm;
 use super::{Node, Outbox};
@@ -17,8 +20,12 @@ use trocar_canopen::{Frame, Payload};
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Receive {
     /// What waits for the SYNC.
+    ///
+    /// A newer frame before the SYNC replaces it.
     pending: Option<Payload>,
     /// When the newest came.
+    ///
+    /// The deadline (sub-index 5) counts from here; none before the first, which cannot be late.
     pub(super) last: Option<TimeNs>,
 }
 
@@ -26,13 +33,19 @@ pub(super) struct Receive {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Transmit {
     /// SYNCs since the last one.
+    ///
+    /// Of a cyclic type 1 to 240.
     syncs: u8,
     /// Whether the SYNC's start value has come.
     started: bool,
+    /// When and what was sent last; a change is one of any byte.
     last: Option<(TimeNs, Payload)>,
 }
 
 /// A PDO's communication record, if it is in use.
+///
+/// Sub-index 1 (COB-ID) and 2 (transmission type) of 1400h or 1800h and after. None with bit 31
+/// set.
 fn parameters(
     dictionary: &Dictionary,
     record: impl Fn(u8) -> Address,
@@ -45,6 +58,8 @@ fn parameters(
 }
 
 /// The objects that a PDO holds, in order.
+///
+/// Sub-index 0 of 1600h or 1A00h and after says how many; each entry has index, sub-index and bits.
 pub(super) fn mapped(
     dictionary: &Dictionary,
     record: impl Fn(u8) -> Address,
@@ -123,6 +138,9 @@ impl Node {
 
     /// Puts the values of the RPDO `number` where its mapping says, the control word last: it acts
     /// on the others.
+    ///
+    /// Each value passes the same checks as an SDO write, so a target outside 607Dh is cut later,
+    /// in the drive, and a mode that the drive lacks is ignored here.
     fn unpack(&mut self, now: TimeNs, number: u8, payload: &Payload, out: &mut Outbox) {
         let mut control = None;
         let mut rest = payload.as_slice();
@@ -156,6 +174,9 @@ impl Node {
     }
 
     /// At SYNC, after it took effect: what is due.
+    ///
+    /// Type 0 sends at a SYNC if a byte has changed, types 1 to 240 at every nth. A start value
+    /// (sub-index 6) holds the TPDO back until the SYNC with that counter.
     pub(super) fn send_synchronous(&mut self, now: TimeNs, counter: Option<u8>, out: &mut Outbox) {
         for n in 0..4_u8 {
             let Some((cob, kind)) = parameters(&self.dictionary, |sub| index::tpdo(n, sub)) else {
@@ -194,6 +215,9 @@ impl Node {
 
     /// Event-driven TPDOs: on a change, not before the inhibit time, and after the event time in
     /// any case.
+    ///
+    /// Inhibit time is sub-index 3, in 100 µs; the event timer sub-index 5, in ms, 0 for none. The
+    /// first one goes at once.
     pub(super) fn send_events(&mut self, now: TimeNs, out: &mut Outbox) {
         for n in 0..4_u8 {
             let Some((cob, kind)) = parameters(&self.dictionary, |sub| index::tpdo(n, sub)) else {

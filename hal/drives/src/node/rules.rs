@@ -2,6 +2,9 @@
 //!
 //! CiA 301, section 7.5.2: the procedures for changing 1005h, 1014h, 1016h, 1019h and the PDO
 //! records.
+//!
+//! The object's own type, access and range are the dictionary's to check (`Dictionary::check`);
+//! here is what depends on other objects. Process data pass through the same door as SDO writes.
 
 use super::watch::consumer;
 use super::{Node, Outbox};
@@ -58,6 +61,11 @@ impl Node {
 
     /// Whether `number` may be written now: what depends on other objects or on the state, beyond
     /// the object's own limits.
+    ///
+    /// # Errors
+    /// 0609 0030h for a value that is not one of the allowed, 0800 0022h for a state that forbids
+    /// it now, 0604 0043h for a second consumer of one node, 0609 0036h for limits that cross, and
+    /// those of a mapping.
     fn allowed(&self, address: Address, number: i64) -> Result<(), AbortCode> {
         let need = |fine: bool, code: AbortCode| if fine { Ok(()) } else { Err(code) };
         match (address.index, address.sub) {
@@ -191,6 +199,8 @@ impl Node {
     }
 
     /// Length in bits of a mapped object; the entry has to say the same.
+    ///
+    /// An entry is index (16 bits), sub-index (8) and length in bits (8), as in 1600h and 1A00h.
     fn one_mapping(&self, number: i64, direction: Mapping) -> Result<u8, AbortCode> {
         let raw = u32::try_from(number).map_err(|_| AbortCode::VALUE)?;
         let entry = MappingEntry::parse(raw);
@@ -210,6 +220,9 @@ impl Node {
     }
 
     /// What follows from a value that was written.
+    ///
+    /// A written consumer time (1016h) begins to count with the node's next heartbeat; a written
+    /// communication record of a PDO forgets what was pending and sent.
     fn act_on(&mut self, now: TimeNs, address: Address, out: &mut Outbox) {
         match (address.index, address.sub) {
             (0x1003, 0) => self.clear_error_history(),

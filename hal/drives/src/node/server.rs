@@ -1,6 +1,11 @@
 //! The server of the object dictionary: expedited and segmented transfers, one at a time.
 //!
 //! CiA 301, section 7.2.4.
+//!
+//! Answers go out with the request, under 580h plus the node's number; the client's are under 600h
+//! plus it. Aborts that a client may meet: 0503 0000h toggle bit, 0504 0000h time-out, 0504 0001h
+//! unknown command, 0602 0000h no object, 0607 0010h length, and those of `rules`. Block transfers
+//! are refused as an unknown command.
 
 use super::{Node, Outbox};
 use hal::TimeNs;
@@ -15,22 +20,30 @@ use trocar_canopen::index;
 const TIMEOUT_NS: u64 = 1_000_000_000;
 
 /// The transfer under way. A new one supersedes it.
+///
+/// Only texts are longer than the four bytes of an expedited transfer; a client may send others in
+/// segments, too.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Transfer {
     /// None.
     Idle,
     /// The client reads.
     Upload {
+        /// Of the object that is read.
         address: Address,
+        /// A copy as it was at the request: what changes later is not mixed in.
         data: Bytes,
+        /// Bytes that are on their way or there.
         sent: usize,
         toggle: bool,
+        /// When the newest segment came; the time-out counts from here.
         since: TimeNs,
     },
     /// The client writes.
     Download {
         address: Address,
         data: Bytes,
+        /// As announced; none if the client left it open.
         size: Option<u32>,
         toggle: bool,
         since: TimeNs,
@@ -39,6 +52,8 @@ pub(super) enum Transfer {
 
 impl Node {
     /// An SDO request for this node. One transfer at a time; a new one ends the last.
+    ///
+    /// A request of fewer bytes than hold an address has no answer.
     pub(super) fn on_sdo(&mut self, now: TimeNs, data: &[u8], out: &mut Outbox) {
         let view = SdoView(data);
         let answer = match Request::parse(data) {
@@ -80,6 +95,9 @@ impl Node {
     }
 
     /// Up to four bytes at once, more in segments.
+    ///
+    /// A value of up to four bytes is in the answer itself, a longer one is announced with its
+    /// size.
     fn begin_upload(&mut self, now: TimeNs, address: Address) -> Response {
         self.transfer = Transfer::Idle;
         let read = match self.dictionary.read(address) {
@@ -226,6 +244,8 @@ impl Node {
     }
 
     /// Ends the transfer with `code`.
+    ///
+    /// Names the object of the transfer, or 0000h:00 without one.
     fn abort(&mut self, code: AbortCode) -> Response {
         let address = match self.transfer {
             Transfer::Idle => Address::new(0, 0),

@@ -18,9 +18,14 @@ const MS: u64 = 1_000_000;
 /// Last signs of life.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Watches {
+    /// None with 1017h at 0.
     heartbeat_due: Option<TimeNs>,
+    /// By entry of 1016h. None until the node was heard: CiA 301 starts the time with the first
+    /// heartbeat.
     last_heartbeat: [Option<TimeNs>; CONSUMER_COUNT as usize],
+    /// The time-out was acted on; until the node is heard again it is not once more.
     silent: [bool; CONSUMER_COUNT as usize],
+    /// None until the first SYNC of this phase, before which none can be lost.
     sync: Option<TimeNs>,
 }
 
@@ -59,6 +64,8 @@ const fn milliseconds(value: u64) -> u64 {
 }
 
 /// Node and time of an entry of 1016h; none if it is not in use.
+///
+/// Bits 16 to 23 are the node, bits 0 to 15 the time in ms; ns here.
 pub(super) fn consumer(raw: i64) -> Option<(NodeId, u64)> {
     let [low, high, node, _] = u32::try_from(raw).ok()?.to_le_bytes();
     let time_ns = u64::from(u16::from_le_bytes([low, high])) * MS;
@@ -127,6 +134,8 @@ impl Node {
     }
 
     /// The NMT state that 1029h asks for.
+    ///
+    /// 1029h:01: 0 pre-operational if it was operational, 1 no change, 2 stopped.
     fn communication_error(&mut self, now: TimeNs) {
         let operational = self.state == NmtState::Operational;
         match self.dictionary.get(index::ERROR_BEHAVIOUR) {

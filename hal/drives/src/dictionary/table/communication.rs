@@ -1,4 +1,8 @@
 //! 1000h to 1FFFh: the communication profile's objects.
+//!
+//! Presets as CiA 301 has them: the first PDO of each direction is in use under 180h and 200h plus
+//! the node's number, the others are there with bit 31 set. No SDO client, no sync producer, no
+//! LSS.
 
 use super::super::object::Access::{Constant, ReadOnly, ReadWrite};
 use super::super::object::DataType::{U8, U16, U32};
@@ -28,6 +32,8 @@ pub(super) fn objects() -> Vec<Object> {
 }
 
 /// 1000h to 1011h: what the device is, SYNC, and stored values.
+///
+/// 1010h:01 and 1011h:01 read 1: the device stores and restores on command alone.
 fn device() -> Vec<Object> {
     vec![
         alone(variable(0x1000, "Device type", U32, Constant, DEVICE_TYPE)),
@@ -78,6 +84,8 @@ fn device() -> Vec<Object> {
 }
 
 /// 1014h to 1200h: emergencies, heartbeats, identity, the dictionary's server.
+///
+/// Times are ms in 1016h and 1017h, 100 µs in 1015h.
 fn network() -> Vec<Object> {
     vec![
         alone(
@@ -192,6 +200,8 @@ fn history() -> Object {
 }
 
 /// 1400h and after: communication parameters of an RPDO.
+///
+/// Preset to type 255, event-driven by the profile. Sub-index 5 is the deadline, ms.
 fn rpdo(number: u8) -> Object {
     let index = 0x1400 + u16::from(number);
     let valid = if number == 0 { 0 } else { INVALID };

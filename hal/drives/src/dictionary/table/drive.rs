@@ -1,4 +1,8 @@
 //! 2000h to 67FFh: the vendor's objects and those of the device profile.
+//!
+//! Presets are those of a small axis; `AxisConfig::apply` narrows them to the axis at hand. All
+//! option codes are within what the drive can do, so a master that asks for another stop is told by
+//! an abort.
 
 use super::super::object::Access::{Constant, ReadOnly, ReadWrite};
 use super::super::object::DataType::{I8, I16, I32, U8, U16, U32};
@@ -16,6 +20,8 @@ pub(super) fn objects() -> Vec<Object> {
     all
 }
 
+/// 2000h: how many interpolation periods (60C2h) may pass without a SYNC before the axis stops.
+/// 2001h: a label that a master writes, for people.
 fn vendor() -> Vec<Object> {
     vec![
         alone(variable(0x2000, "SYNC loss limit", U8, ReadWrite, 10).range(2, 100)),
@@ -24,6 +30,10 @@ fn vendor() -> Vec<Object> {
 }
 
 /// 605Ah to 605Eh and 6007h: how the drive stops, by cause.
+///
+/// 603Fh, 6040h, 6041h, 6060h and 6061h are among them by index. Presets: quick stop on a lost
+/// master, a ramp on disable operation, the quick ramp on a quick stop and a fault, coasting on
+/// shutdown.
 fn options() -> Vec<Object> {
     vec![
         alone(variable(0x6007, "Abort connection option code", I16, ReadWrite, 3).range(0, 3)),
@@ -110,6 +120,9 @@ fn motion() -> Vec<Object> {
 }
 
 /// 6098h to 609Ah: homing.
+///
+/// 6098h is preset to 37, which takes the present position for home; speeds are counts/s, the
+/// acceleration counts/s².
 fn homing() -> Vec<Object> {
     vec![
         set(0x6098, "Homing method", I8, 37),
@@ -146,6 +159,8 @@ fn homing() -> Vec<Object> {
 }
 
 /// 60B0h to 67FFh: cyclic positions and what the drive can do.
+///
+/// 60C2h is preset to `1 * 10^-3` s.
 fn profile() -> Vec<Object> {
     let methods = (1_u8..).zip(HOMING_METHODS).map(|(n, method)| {
         sub(

@@ -1,6 +1,10 @@
 //! What a drive follows: the mode, the SYNC, and what it does when it is left alone or fails.
 //!
 //! CiA 402-2, clause 12 (cyclic synchronous position); 6007h and 605Eh.
+//!
+//! A target of 607Ah plus 60B0h is cut to 607Dh, then to what the greatest speed reaches in an
+//! interpolation period (60C2h). The motor goes there in a straight line over that period;
+//! acceleration and jerk are the master's to limit.
 
 use super::super::motion::Motion;
 use super::{AtRest, Drive, interpolation_ns, speed_max};
@@ -27,6 +31,8 @@ impl Drive {
     }
 
     /// A SYNC: the newest target becomes the end of a line.
+    ///
+    /// Does nothing in another mode, halted, or while it brakes.
     pub(in super::super) fn on_sync(&mut self, now: TimeNs, dictionary: &Dictionary) {
         if !self.follows_sync() || self.halted || self.at_rest != AtRest::Stay {
             return;
@@ -49,6 +55,9 @@ impl Drive {
     }
 
     /// What 6007h says about a lost master.
+    ///
+    /// 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. The command bits of the control word
+    /// are cleared in any case, so that the drive does not enable itself when its stop is over.
     pub(in super::super) fn lose_connection(&mut self, now: TimeNs, dictionary: &Dictionary) {
         match dictionary.get(index::ABORT_OPTION) {
             1 => {
@@ -63,6 +72,9 @@ impl Drive {
     }
 
     /// A fault; tells whether it is a new one.
+    ///
+    /// `bits` go into 1001h. 605Eh says how it stops: 0 coast, 1 ramp (6084h), 2 quick ramp
+    /// (6085h). It loses its torque at the end.
     pub(in super::super) fn fault(
         &mut self,
         now: TimeNs,

@@ -19,6 +19,7 @@ const AHEAD_NS: u64 = 1_000_000;
 /// A homing sequence under way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Search {
+    /// Moves forward only; an edge of bit 4 begins anew.
     phase: Phase,
     /// When the velocity was last changed.
     since: TimeNs,
@@ -27,6 +28,9 @@ pub(super) struct Search {
 }
 
 /// Towards the switch, back off it, and to rest.
+///
+/// The limit switch of the method: the first phase ends when it becomes active, the second when it
+/// no longer is, where the home point is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     ToSwitch,
@@ -72,11 +76,17 @@ impl Drive {
     }
 
     /// Gives the encoder's position `home` the value of the home offset.
+    ///
+    /// Afterwards 6064h reads 607Ch there.
     fn reference(&mut self, home: f64, dictionary: &Dictionary) {
         self.offset = real(dictionary.get(index::HOME_OFFSET)) - home;
     }
 
     /// Goes on with a homing sequence.
+    ///
+    /// Each look changes the velocity by at most 609Ah times the time since the last, and points a
+    /// line of 1 ms ahead. Any stop, halt, change of mode or loss of torque ends the sequence, and
+    /// the axis is not homed then. Speeds are 6099h:01 and 6099h:02, below the greatest speed.
     pub(super) fn search(&mut self, now: TimeNs, dictionary: &Dictionary) {
         let (Some(mut search), Some(direction)) = (self.search.take(), direction(dictionary))
         else {

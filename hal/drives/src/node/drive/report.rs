@@ -11,12 +11,16 @@ use trocar_canopen::number::{real, whole};
 
 impl Drive {
     /// How far the motor is from its demand: 6062h less 6064h.
+    ///
+    /// Counts, signed.
     fn deviation(&self, now: TimeNs) -> f64 {
         self.motion.at(now).0 - self.actual()
     }
 
     /// Whether the following error is beyond its window (6065h), and has been for longer than
     /// 6066h.
+    ///
+    /// A window of FFFF FFFFh switches the supervision off (CiA 402-2, 6065h).
     fn deviates(&self, now: TimeNs, dictionary: &Dictionary) -> bool {
         let window = dictionary.get(index::FOLLOWING_WINDOW);
         self.state.has_torque()
@@ -40,6 +44,11 @@ impl Drive {
     }
 
     /// Writes the actual values and the status word into the dictionary.
+    ///
+    /// Called after everything that changes the drive, so that an SDO or a TPDO never reads an
+    /// older state than the one that was acted on. `remote` and `warning` are bits of the status
+    /// word that the node knows. Bit 12 says in cyclic mode that the drive follows the command, in
+    /// homing that the axis is homed; the limit switches are bits 0 and 1 of 60FDh.
     pub(in super::super) fn report(
         &mut self,
         now: TimeNs,
