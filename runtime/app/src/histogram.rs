@@ -101,7 +101,7 @@ impl Histogram {
     }
 
     /// The least duration, ns, that a `fraction` (0 to 1) of all do not exceed; up to 3.2 % above
-    /// it, never above the longest. 0 if there is none.
+    /// it, never above the longest. 0 if there is none. Looks through all buckets.
     #[must_use]
     pub fn percentile(&self, fraction: f64) -> u64 {
         let rank = rank(fraction, self.count);
@@ -170,7 +170,6 @@ mod tests {
         }
     }
 
-    /// &Looks through all buckets.
     #[test]
     fn percentiles_of_a_ramp_are_within_a_bucket() {
         let mut histogram = Histogram::new();

@@ -63,6 +63,7 @@ impl Certificate {
         Ok(made)
     }
 
+    /// A new key and a certificate for `names` from a day ago on.
     fn make(names: &[String], now_unix_s: u64) -> Result<Self, rcgen::Error> {
         let not_after_unix_s = now_unix_s + GOOD_S;
         let mut params = CertificateParams::new(names)?;
@@ -83,6 +84,7 @@ impl Certificate {
         })
     }
 
+    /// Whether it names all of `names` and is good for long enough.
     fn will_do(&self, names: &[String], now_unix_s: u64) -> bool {
         names.iter().all(|name| self.names.contains(name))
             && self.not_after_unix_s > now_unix_s + LEFT_S_MIN

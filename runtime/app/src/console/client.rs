@@ -3,6 +3,10 @@
 //! A page says how many messages have arrived; no more than a few are on their way to it at a time.
 //! So whatever lies between (a tunnel, a slow network, a page that draws) holds no queue of old
 //! pictures.
+//!
+//! A page has its place in `seats`, which frees it when the page goes. What a run puts up is
+//! watched (`tokio::sync::watch`): of each thing there is the newest alone, so that a slow page
+//! misses values and delays nobody. A message that makes no sense is answered and changes nothing.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -28,10 +32,11 @@ use crate::session::teleop::ReleaseCause;
 use hal::TimeNs;
 use trocar_control::OperatorEvent;
 
-/// Messages on their way to a page.
+/// Messages on their way to a page. It bounds how old what a page shows can be.
 const ON_THE_WAY_MAX: u32 = 8;
 
-/// Time from one ping to the next, which browsers answer by themselves.
+/// Time from one ping to the next, which browsers answer by themselves. Their answers measure the
+/// round trip, half of which is taken off the latencies of teleoperation.
 const PING: Duration = Duration::from_secs(2);
 
 /// How long a page that was told of the end has to close.
@@ -40,7 +45,7 @@ const FAREWELL: Duration = Duration::from_secs(1);
 /// A page of which nothing is heard for this long is gone, ns.
 const SILENCE_NS: u64 = 10_000_000_000;
 
-/// Time for one message to leave.
+/// Time for one message to leave. A page that takes longer is disconnected.
 const SEND: Duration = Duration::from_secs(5);
 
 /// The page has disconnected.
@@ -54,6 +59,8 @@ type Incoming = Option<Result<Message, axum::Error>>;
 #[serde(tag = "kind", rename_all = "snake_case")]
 enum ServerMessage<'a> {
     /// Who steers.
+    ///
+    /// `taken` is whether anybody steers, this page or another.
     Seat {
         steers: bool,
         taken: bool,
@@ -70,13 +77,16 @@ enum ServerMessage<'a> {
 }
 
 /// What there is to send.
+///
+/// `End` is followed by the closing of the socket.
 enum Outgoing {
     Text(Utf8Bytes),
     Picture(Bytes),
     End(Utf8Bytes),
 }
 
-/// Serves a page until it goes or the console ends.
+/// Serves a page until it goes or the console ends. Facts, state and bulletin that are there
+/// already come first. Its hands let go when it goes, whatever the cause.
 pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
     let Some(seat) = shared.seats.sit() else {
         let _gone = close(&mut socket, close_code::AGAIN, "too many pages are open").await;
@@ -114,6 +124,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
         .release(page.seat.id(), ReleaseCause::PageGone);
 }
 
+/// What one page has been told, and what it asks for.
 struct Page {
     shared: Arc<Shared>,
     seat: Seat,
@@ -127,19 +138,25 @@ struct Page {
     /// The number of the picture that it has of each stream.
     seen: BTreeMap<Stream, u64>,
     /// The place among its streams of the one that is next to get a picture of a log or a dataset.
+    /// So streams take turns and none starves.
     turn: usize,
     /// Where in a log, or in an episode of a dataset, it looks.
     place: Option<f64>,
     episode: usize,
+    /// Whether it has moved since it was told the state of its place.
     moved: bool,
+    /// Messages that were sent and not yet acknowledged by `Seen`.
     on_the_way: u32,
     /// When something was last heard of it.
     heard: TimeNs,
+    /// How many messages it may still send at once.
     allowance: TokenBucket,
     clock: MonotonicClock,
 }
 
 impl Page {
+    /// What the page says comes before what it is told (`biased`), so that a page that is flooded
+    /// still steers.
     async fn serve(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let mut pings = interval(PING);
         loop {
@@ -152,6 +169,8 @@ impl Page {
         }
     }
 
+    /// The ping has the time of sending in it, which comes back. Ends the page if nothing was heard
+    /// of it for `SILENCE_NS`.
     async fn ping(&self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         if self.clock.now().since(self.heard) > SILENCE_NS {
             return Err(Disconnected);
@@ -160,6 +179,7 @@ impl Page {
         send(socket, Message::Ping(sent.to_vec().into())).await
     }
 
+    /// Sends a piece of news and counts it as on its way.
     async fn tell(&mut self, news: Outgoing, socket: &mut WebSocket) -> Result<(), Disconnected> {
         match news {
             Outgoing::Text(text) => {
@@ -182,6 +202,8 @@ impl Page {
         }
     }
 
+    /// Counts the message against the page's rate, reads it and does what it asks for. Whoever
+    /// exceeds the rate is disconnected.
     async fn hear(&mut self, heard: Incoming, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let Some(Ok(message)) = heard else {
             return Err(Disconnected);
@@ -207,6 +229,8 @@ impl Page {
         answer(socket, &ServerMessage::Problem { text: &problem }).await
     }
 
+    /// Does what a page may always ask for here, and hands the rest on: commands to the run, what
+    /// is of hands to `by_hand`.
     async fn act(&mut self, request: Request, socket: &mut WebSocket) -> Result<(), Disconnected> {
         match request {
             Request::Seen(count) => self.on_the_way = self.on_the_way.saturating_sub(count),
@@ -268,6 +292,7 @@ impl Page {
     }
 
     /// Does what the operator's verb does, if this page steers or the verb brings the arms to rest.
+    /// Only `stop` and `pause` need no seat. The page waits for the answer; others do not.
     async fn command(&mut self, text: &str, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let (ok, said) = match command(text) {
             Err(reason) => (false, reason),
@@ -285,7 +310,8 @@ impl Page {
         answer(socket, &told).await
     }
 
-    /// Waits for something new; the most important first.
+    /// Waits for something new; the most important first. With too much on its way only the end is
+    /// waited for: until the page acknowledges.
     async fn news(&mut self) -> Outgoing {
         if self.on_the_way >= ON_THE_WAY_MAX {
             // A page that lags behind is told of the end all the same: nobody is here to tell it
@@ -308,7 +334,8 @@ impl Page {
         }
     }
 
-    /// What this page has not been told of.
+    /// What this page has not been told of. In the order of weight: the end, what is shown, who
+    /// steers, the state, pictures.
     fn newest(&mut self) -> Option<Outgoing> {
         let last = self.over.borrow_and_update().clone();
         if let Some(last) = last {
@@ -420,6 +447,7 @@ async fn answer(socket: &mut WebSocket, told: &ServerMessage<'_>) -> Result<(), 
     send(socket, Message::Text(text.into())).await
 }
 
+/// Says why, as code and text of the WebSocket (RFC 6455, 7.4).
 async fn close(
     socket: &mut WebSocket,
     code: u16,
@@ -429,6 +457,7 @@ async fn close(
     send(socket, Message::Close(Some(CloseFrame { code, reason }))).await
 }
 
+/// Gives up after `SEND`.
 async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Disconnected> {
     match timeout(SEND, socket.send(message)).await {
         Ok(Ok(())) => Ok(()),

@@ -65,6 +65,7 @@ pub(super) async fn admit(listener: TcpListener, tls: Option<Tls>, router: Route
     }
 }
 
+/// One connection, from its handshake to its end. Failures are the client's and end here.
 async fn attend(stream: TcpStream, tls: Option<Tls>, router: Router, place: ConnectionPermit) {
     let _late = stream.set_nodelay(true);
     let Some(tls) = tls else {
@@ -90,6 +91,7 @@ async fn secure(mut stream: TcpStream, tls: &Tls) -> Option<TlsStream<TcpStream>
     tls.acceptor().accept(stream).await.ok()
 }
 
+/// HTTP/1.1 on `stream`, until it ends or becomes a WebSocket.
 async fn talk<S>(stream: S, router: Router, place: ConnectionPermit)
 where
     S: AsyncRead + AsyncWrite + Send + Unpin + 'static,

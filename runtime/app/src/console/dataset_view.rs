@@ -166,6 +166,7 @@ impl DatasetView {
         ((PATH_S * self.dataset.fps()) as usize).min(PATH_FRAMES_MAX)
     }
 
+    /// One arm in a frame; velocities are differences, 0 in an episode's first frame.
     fn arm(&self, name: &'static str, episode: Episode, frame: usize, arm: usize) -> ArmOfFrame {
         let state = |frame| self.dataset.state(frame, arm).map(f64::from);
         let (measured, fps) = (state(frame), f64::from(self.dataset.fps()));
@@ -309,6 +310,7 @@ fn joints_of(action: &[f64; ACTION_WIDTH], roll: f64) -> Option<[f64; STATE_WIDT
     Some(std::array::from_fn(value))
 }
 
+/// From an episode's first frame.
 #[expect(clippy::cast_precision_loss, reason = "frames of an episode")]
 fn seconds_of(frame: usize, fps: u32) -> f64 {
     frame as f64 / f64::from(fps)

@@ -25,6 +25,7 @@ pub struct ListenAddresses {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reached {
     pub(super) address: SocketAddr,
+    /// Whether by TLS.
     pub(super) secure: bool,
 }
 

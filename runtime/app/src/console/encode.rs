@@ -11,9 +11,11 @@ use hal::TimeNs;
 /// double, little endian.
 pub(super) const HEAD: usize = 16;
 
+/// Of JPEG, 1 to 100.
 const QUALITY: u8 = 82;
 
-/// Near to far: stops of a colour map that also tells by lightness alone.
+/// Near to far: stops of a colour map that also tells by lightness alone. sRGB, from 0 to 255; five
+/// stops of viridis, turned round.
 const DEPTH: [[f32; 3]; 5] = [
     [253.0, 231.0, 37.0],
     [94.0, 201.0, 98.0],
@@ -22,7 +24,8 @@ const DEPTH: [[f32; 3]; 5] = [
     [68.0, 1.0, 84.0],
 ];
 
-/// The message for pages, if the pixels fill an image.
+/// The message for pages, if the pixels fill an image. None if they don't, or a plane is not known
+/// (empty).
 pub(super) fn message(drawn: &Drawn) -> Option<Vec<u8>> {
     let (width, height) = (drawn.width, drawn.height);
     let mut bytes = head(drawn.stream, drawn.stamp);
@@ -49,6 +52,7 @@ pub(super) fn head(stream: Stream, stamp: TimeNs) -> Vec<u8> {
     bytes
 }
 
+/// Appends the image behind the head.
 fn jpeg(to: &mut Vec<u8>, rgb: &[u8], width: u32, height: u32) -> image::ImageResult<()> {
     JpegEncoder::new_with_quality(to, QUALITY).write_image(
         rgb,
@@ -58,6 +62,7 @@ fn jpeg(to: &mut Vec<u8>, rgb: &[u8], width: u32, height: u32) -> image::ImageRe
     )
 }
 
+/// Appends the image; fast rather than small.
 fn png(to: &mut Vec<u8>, rgb: &[u8], width: u32, height: u32) -> image::ImageResult<()> {
     PngEncoder::new_with_quality(to, CompressionType::Fast, FilterType::Up).write_image(
         rgb,
@@ -67,7 +72,8 @@ fn png(to: &mut Vec<u8>, rgb: &[u8], width: u32, height: u32) -> image::ImageRes
     )
 }
 
-/// Depths between the nearest and the farthest of the image; black where nothing was hit.
+/// Depths between the nearest and the farthest of the image; black where nothing was hit. Each
+/// image has its own scale, so that colours of two can't be compared.
 fn depth_colours(depth_m: &[f32]) -> Vec<u8> {
     let hit = || {
         depth_m
@@ -110,6 +116,7 @@ fn id_colours(ids: &[u8]) -> Vec<u8> {
     ids.iter().flat_map(|id| id_colour(*id)).collect()
 }
 
+/// Hues are steps of the golden ratio; even and odd ids differ in brightness too.
 fn id_colour(id: u8) -> [u8; 3] {
     if id == 0 {
         return [0; 3];

@@ -279,6 +279,7 @@ impl Facts {
         self
     }
 
+    /// As a page and the monitor get it.
     pub(super) fn json(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()
     }

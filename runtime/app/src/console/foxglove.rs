@@ -73,6 +73,7 @@ pub(super) async fn attend(mut socket: WebSocket, shared: Arc<Shared>) {
     let _gone: Result<(), Disconnected> = viewer.serve(&mut socket).await;
 }
 
+/// What one viewer has been told, and what it has subscribed to.
 struct Viewer {
     shared: Arc<Shared>,
     seat: Seat,
@@ -99,6 +100,7 @@ struct Viewer {
 }
 
 impl Viewer {
+    /// What has to be in order comes first (`biased`): requests, topics, then what happened.
     async fn serve(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         // The time is that of the run, or of the log, where it may jump.
         let info = json!({ "op": "serverInfo", "name": "trocar", "capabilities": ["time"], "supportedEncodings": [], "metadata": {} });
@@ -121,6 +123,8 @@ impl Viewer {
         }
     }
 
+    /// Takes in subscriptions, up to `SUBSCRIPTIONS_MAX`, to channels that there are. Nothing is
+    /// answered; too many messages end it.
     fn hear(&mut self, heard: Option<Result<Message, axum::Error>>) -> Result<(), Disconnected> {
         let Some(Ok(message)) = heard else {
             return Err(Disconnected);
@@ -213,6 +217,7 @@ impl Viewer {
         text(socket, &json!({ "op": "advertise", "channels": channels })).await
     }
 
+    /// The newest tick, with its time before it.
     async fn tell_newest(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let newest = Arc::clone(&self.told.newest.borrow_and_update());
         if let Some(first) = newest.first() {
@@ -221,6 +226,7 @@ impl Viewer {
         self.tell(socket, &newest).await
     }
 
+    /// Every line since the last call; whoever comes late has the last `KEPT_MAX`.
     async fn tell_happened(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let (fresh, all) = self.shared.viewers.since(self.happened);
         self.happened = all;
@@ -255,6 +261,7 @@ impl Viewer {
         Ok(())
     }
 
+    /// All pictures of its streams that it has not had.
     async fn tell_pictures(&mut self, socket: &mut WebSocket) -> Result<(), Disconnected> {
         while let Some((stream, picture)) = self.shared.board.newer(&self.streams, &self.seen) {
             self.seen.insert(stream, picture.number);
@@ -269,6 +276,7 @@ impl Viewer {
         Ok(())
     }
 
+    /// A camera's calibration and its image, of the same time.
     async fn tell_camera(
         &mut self,
         socket: &mut WebSocket,
@@ -290,6 +298,8 @@ impl Viewer {
             .await
     }
 
+    /// Where everything is, as transforms; the shapes once, and those that bend at most every
+    /// `BENT_EVERY_NS`.
     async fn tell_scene(
         &mut self,
         socket: &mut WebSocket,

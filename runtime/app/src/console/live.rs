@@ -1,4 +1,6 @@
-//! A run in real time as pages see it.
+//! A run in real time as pages see it. The control thread writes mailboxes and a queue (`tap`);
+//! whoever asks for a state here takes the newest. Nothing is computed until somebody asks, and
+//! asking delays no tick.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -48,6 +50,7 @@ pub(super) struct RunMailboxes {
     pub(super) noted: Consumer<TickRecord>,
 }
 
+/// What was last taken out of the mailboxes, since each value can be taken once.
 #[derive(Debug)]
 struct Newest {
     said: RunMailboxes,
@@ -141,7 +144,8 @@ impl Live {
         self.facts.json()
     }
 
-    /// The newest state; none before the first tick.
+    /// The newest state; none before the first tick. It is computed anew for each call, from the
+    /// newest tick; `silent_s` counts from when that was first seen here.
     pub(super) fn state(&self) -> Option<String> {
         let now = self.clock.now();
         let mut samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
@@ -163,6 +167,7 @@ impl Live {
         Some(state.towards(paths.unwrap_or_default()).json())
     }
 
+    /// Counts of the kernel for the arms' interfaces; empty of arms that are not on CAN.
     fn buses(&self) -> Vec<BusRecord> {
         let mut buses = self.buses.lock().unwrap_or_else(PoisonError::into_inner);
         buses.look();

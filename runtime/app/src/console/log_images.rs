@@ -70,6 +70,8 @@ impl Images {
         views.collect()
     }
 
+    /// Copies `image`, PNG or JPEG as it is in the log, behind a head, so that it is sent as it is.
+    /// The first image of a camera is always kept.
     pub(super) fn keep(&mut self, camera: &str, at: TimeNs, image: &[u8]) {
         self.seen += 1;
         let (seen, stride) = (self.seen, self.stride.max(1));
@@ -109,6 +111,8 @@ impl Images {
         self.bytes = images.map(Bytes::len).sum();
     }
 
+    /// The image at that time, the nearest before it, or else the first; with a number that is its
+    /// own, its time in ns plus one.
     pub(super) fn at(&self, camera: u8, at: TimeNs) -> Option<(u64, Bytes)> {
         let kept = &self.cameras.get(usize::from(camera))?.images;
         let before = kept.range(..=at).next_back();

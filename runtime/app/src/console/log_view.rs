@@ -1,5 +1,10 @@
 //! A log as pages see it: states of all its ticks, recomputed by a controller of the logged
 //! configuration, its images, its scene, and what happened.
+//!
+//! The log is read twice. The first pass takes images, scenes, buses and events as they stand in
+//! it; the second computes every tick again, since a log holds no state of the page's kind: rows
+//! that held the filter, counts and histograms come of the controller. All of it is bounded in
+//! memory (`log_states`, `log_images`, `log_messages`); a longer log is shown in coarser steps.
 
 use std::path::Path;
 
@@ -34,12 +39,14 @@ const EVENTS_MAX: usize = 2000;
 /// How a JPEG begins.
 const JPEG: &[u8] = &[0xff, 0xd8];
 
-/// After so long without, an intervention is another one, ticks.
+/// After so long without, an intervention is another one, ticks. So that a run in contact for a
+/// minute has one event and not sixty thousand.
 const APART_TICKS: u64 = 500;
 
-/// A log in memory.
+/// A log in memory. It does not change any more: any number of pages look at it at once.
 #[derive(Debug)]
 pub(super) struct LogView {
+    /// What pages are told first, events and outcome included.
     facts: Facts,
     states: States,
     /// The first tick, and when it was.
@@ -53,7 +60,8 @@ pub(super) struct LogView {
 }
 
 impl LogView {
-    /// Reads the log at `path`, with its messages for viewers if `views`.
+    /// Reads the log at `path`, with its messages for viewers if `views`. It takes as long as a
+    /// replay, all of it before a page is answered.
     ///
     /// # Errors
     /// [`SessionError::Log`] or [`SessionError::Replay`].
@@ -109,7 +117,7 @@ impl LogView {
         self.facts.seconds.unwrap_or_default()
     }
 
-    /// The log's own time `seconds` after its first tick.
+    /// The log's own time `seconds` after its first tick. Within the log, whatever `seconds` says.
     pub(super) fn time(&self, seconds: f64) -> TimeNs {
         let (first, at) = self.first;
         let ticks = self.tick(seconds.min(self.seconds())).saturating_sub(first);
@@ -158,7 +166,8 @@ impl LogView {
         self.states.at(tick).map(|(_, state)| state.to_owned())
     }
 
-    /// What there is to see of `stream` at that time, by a number that is its own.
+    /// What there is to see of `stream` at that time, by a number that is its own. It changes when
+    /// the picture does. Images in the log come before what is drawn.
     pub(super) fn number(&self, stream: Stream, seconds: f64) -> Option<u64> {
         let at = self.time(seconds);
         let image = self.image(stream, at).map(|(number, _)| number);
@@ -188,11 +197,13 @@ impl LogView {
         }
     }
 
+    /// Of the log itself; depth and ids are in none.
     fn image(&self, stream: Stream, at: TimeNs) -> Option<(u64, Bytes)> {
         let is_kept = stream.plane == Plane::Colour;
         is_kept.then(|| self.images.at(stream.camera, at)).flatten()
     }
 
+    /// The tick at `seconds`, ms being ticks; NaN is the first.
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
@@ -203,7 +214,7 @@ impl LogView {
     }
 }
 
-/// What a log shows beside its ticks.
+/// What a log shows beside its ticks: what the first pass takes out of it.
 #[derive(Debug, Default)]
 struct Seen {
     images: Images,
@@ -212,7 +223,7 @@ struct Seen {
     buses: States,
 }
 
-/// The run as a controller computes it again.
+/// The run as a controller computes it again: what the second pass has come to.
 struct Recomputed {
     facts: Facts,
     controller: AnyController,
@@ -226,14 +237,22 @@ struct Recomputed {
     events: Vec<EventFacts>,
     first: Option<(u64, TimeNs)>,
     last: Option<u64>,
+    /// Periods that the control thread skipped, which are gaps in the ticks that no dropped record
+    /// explains.
     skipped: u64,
+    /// Sequence number of the newest chunk, by which a new one is known.
     sequences: Option<u64>,
+    /// The arms' operating states in the tick that was kept last; one in which they differ is kept
+    /// too.
     was: Vec<OperatingState>,
+    /// The last tick in which the guard intervened; `corrected` is the same of the filter.
     intervened: Option<u64>,
     corrected: Option<u64>,
 }
 
 impl Recomputed {
+    /// # Errors
+    /// A log whose configuration is missing or gives no controller.
     fn new(header: &RunHeader, seen: Seen) -> Result<Self, SessionError> {
         let config = config(header)?;
         let controller = AnyController::new(&config)
@@ -280,6 +299,8 @@ impl Recomputed {
         })
     }
 
+    /// Computes one tick again. Commands are those of the log, whatever is computed, so that a log
+    /// that differs shows what was sent. At a snapshot the controller takes the logged state over.
     fn step(&mut self, step: &Step<'_>) -> Result<(), ReplayError> {
         let (logged, inputs) = (step.tick, step.inputs());
         // A log may hold other arms than its configuration.
@@ -316,6 +337,7 @@ impl Recomputed {
         Ok(())
     }
 
+    /// States are made only for ticks that are kept, since a scene and a path are costly.
     fn keep(&mut self, record: &TickRecord) {
         let (first, _) = *self.first.get_or_insert((record.tick, record.now));
         self.note(record, first);
@@ -348,7 +370,8 @@ impl Recomputed {
         state.towards(paths.unwrap_or_default())
     }
 
-    /// Notes when guard, filter and gate began to act.
+    /// Notes when guard, filter and gate began to act. An event is noted when it begins, and again
+    /// after `APART_TICKS` without; refused chunks each.
     fn note(&mut self, record: &TickRecord, first: u64) {
         let begins = |last: &mut Option<u64>| {
             let before = last.replace(record.tick);
@@ -371,6 +394,7 @@ impl Recomputed {
         }
     }
 
+    /// What is left to do at the log's end: times of events, the outcome, the scene's file.
     fn view(mut self, header: &RunHeader, end: &LogEnd, told: Vec<(TimeNs, String)>) -> LogView {
         let (first, from) = self.first.unwrap_or_default();
         self.events
@@ -407,6 +431,9 @@ impl Recomputed {
 }
 
 /// The controller's configuration of a logged run.
+///
+/// # Errors
+/// `NoConfiguration` if the log lacks one of both files; what is wrong with them.
 fn config(header: &RunHeader) -> Result<ControlConfig, SessionError> {
     let source = |file: &'static str| {
         let text = header.text(file);

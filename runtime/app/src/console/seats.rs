@@ -1,4 +1,5 @@
-//! Who looks on, and who steers: at most one page.
+//! Who looks on, and who steers: at most one page. Steering is nobody's until a page asks for it,
+//! and free again when it gives it up or goes.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -76,6 +77,7 @@ impl Seats {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Tells the board which streams are wanted and, if that has changed, pages who is there.
     fn tell(&self, inner: &Inner) {
         self.board.want(inner.watched.values().flatten().copied());
         let pages = inner.watched.len();

@@ -1,4 +1,6 @@
-//! The server: the page's files and its WebSocket, on a thread of its own at normal priority.
+//! The server: the page's files and its WebSocket, on a thread of its own at normal priority. It is
+//! a tokio runtime of one thread, so that nothing of it needs a lock against itself; what would
+//! block (the run's answer to a command) waits on a few threads beside it.
 
 use std::io;
 use std::net::TcpListener;
@@ -37,7 +39,8 @@ const VIEWER_BYTES_MAX: usize = 16 << 10;
 /// Threads that wait for the run's answers to commands.
 const WAITING_MAX: usize = 4;
 
-/// The page's files: path, type, text.
+/// The page's files: path, type, text. They are in the binary, so that the page is always of the
+/// program's version.
 const FILES: [(&str, &str, &str); 20] = [
     (
         "/",
@@ -96,6 +99,9 @@ const HEADERS: [(HeaderName, &str); 6] = [
 ];
 
 /// Everything that a server needs.
+///
+/// # Errors
+/// If the system gives no thread or no event queue.
 pub(super) fn runtime() -> io::Result<Runtime> {
     Builder::new_current_thread()
         .enable_all()
@@ -179,6 +185,7 @@ async fn refresh(shared: &Shared) {
 }
 
 impl ServerState {
+    /// The routes of a door. Every answer passes `guard`.
     fn router(self, door: ListenerKind) -> Router {
         let routes = match door {
             ListenerKind::Pages => Router::new()
@@ -206,6 +213,8 @@ async fn guard(State(desk): State<ServerState>, request: Request, next: Next) ->
     response
 }
 
+/// A file of the page, for whoever has the token in the URL or the cookie. With the URL's the
+/// cookie is set, which all other requests of the page carry.
 async fn file(State(desk): State<ServerState>, uri: Uri, headers: HeaderMap) -> Response {
     let access = &desk.access;
     let by_query = access.is_in_query(uri.query());
@@ -229,6 +238,7 @@ async fn file(State(desk): State<ServerState>, uri: Uri, headers: HeaderMap) -> 
     response
 }
 
+/// The page's WebSocket: the origin must be the page's own, the cookie must have the token.
 async fn socket(
     State(desk): State<ServerState>,
     Extension(place): Extension<ConnectionPermit>,

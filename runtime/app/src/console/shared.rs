@@ -1,4 +1,5 @@
-//! What the server's thread shares with the run.
+//! What the server's thread shares with the run. Each field has a lock of its own that is held for
+//! a copy, or is a watched value; the server's thread never holds one over an `await`.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -140,6 +141,7 @@ impl Shared {
         (!file.is_empty()).then(|| file.clone())
     }
 
+    /// What was shown before goes once the last page that reads it is done.
     fn show(&self, shown: Shown) {
         *self.shown.lock().unwrap_or_else(PoisonError::into_inner) = shown;
     }

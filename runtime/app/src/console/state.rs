@@ -1,4 +1,6 @@
-//! What a page is told twenty times a second, as JSON.
+//! What a page is told twenty times a second, as JSON. The operator's socket tells the same to
+//! `trocar monitor`. Numbers are rounded to five places, which keeps a message small; whoever needs
+//! all digits reads the log.
 
 use hal::{ARM_NAMES, ArmCommand, ArmState, TimeNs};
 use serde::Serialize;
@@ -77,6 +79,7 @@ struct Filter {
     change: Vec<f64>,
 }
 
+/// Ticks and chunks since the run began.
 #[derive(Clone, Debug, Serialize)]
 struct Counted {
     ticks: u64,
@@ -84,12 +87,15 @@ struct Counted {
     solved: u64,
     failed: u64,
     guard: u64,
+    /// How long ago the guard last intervened, s; none if it never did.
     guard_ago_s: Option<f64>,
     chunks: u64,
     refused: u64,
+    /// Arm, time and reason of the last chunk that the gate refused.
     last_refused: Option<String>,
 }
 
+/// Durations of each tick: computing, lateness of the wake-up, and from one wake-up to the next.
 #[derive(Clone, Debug, Serialize)]
 struct Timing {
     compute: Histogram,
@@ -98,6 +104,7 @@ struct Timing {
     overruns: u64,
 }
 
+/// Counts a bucket, whose upper ends `Facts` has; one more for what is beyond all.
 #[derive(Clone, Debug, Serialize)]
 struct Histogram {
     counts: Vec<u64>,
@@ -228,10 +235,12 @@ fn axes(joints: &[f64], jaw: f64) -> [f64; AXES] {
     std::array::from_fn(|axis| rounded(joints.get(axis).copied().unwrap_or(jaw)))
 }
 
+/// To five places. NaN and infinite stay, which JSON writes as null.
 fn rounded(value: f64) -> f64 {
     (value * 1e5).round() * 1e-5
 }
 
+/// What the filter last changed, with the names of its first rows. `tick` is now.
 fn filter(changed: Option<&Changed>, tick: u64, facts: &Facts, arms: usize) -> Filter {
     let rows = changed.map_or(&[][..], |changed| {
         let named = usize::from(changed.count).min(changed.rows.len());

@@ -80,6 +80,7 @@ pub(super) struct Changed {
 /// A chunk that the gate refused.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Refused {
+    /// In which it was refused.
     pub(super) tick: u64,
     pub(super) arm: usize,
     pub(super) reason: GateDecision,
@@ -176,13 +177,17 @@ impl ControlTap {
     }
 
     /// These chunks were handed to the controller, so long after their observation.
+    ///
+    /// Called by the control thread before the tick that takes them.
     pub fn chunk(&mut self, chunks: &PerArm<Chunk>, latency_ns: u64) {
         self.chunks.put(*chunks);
         self.counts.chunks += 1;
         self.counts.latency.record(latency_ns);
     }
 
-    /// A tick is over, and so many periods have been skipped since the run began.
+    /// A tick is over, and so many periods have been skipped since the run began. Called by the
+    /// control thread at the end of each tick: constant time, but for one pass over the filter's
+    /// rows every ten ticks at most.
     pub fn tick(&mut self, record: &TickRecord, controller: &AnyController, skipped: u64) {
         self.note_rows(record, controller);
         self.count(record, skipped);
@@ -228,6 +233,8 @@ impl ControlTap {
         }
     }
 
+    /// A tick counts once for all arms: as failed if any arm's QP failed, else as solved if any
+    /// was.
     fn count(&mut self, record: &TickRecord, skipped: u64) {
         let counts = &mut self.counts;
         counts.ticks += 1;
@@ -294,6 +301,7 @@ impl ControlTap {
     }
 }
 
+/// Each arm's operating state and whether it has a fault; none for an arm that is not there.
 fn states(record: &TickRecord) -> States {
     let mut states = [None; ARMS_MAX];
     for (state, arm) in states.iter_mut().zip(record.arms.iter()) {

@@ -49,7 +49,7 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// &A remedy of what is well is dropped.
+    /// A remedy of what is well is dropped.
     fn new(name: &'static str, status: Status, detail: impl Into<String>, remedy: &str) -> Self {
         let remedy = if status == Status::Ok {
             String::new()

@@ -12,7 +12,7 @@ use super::seen::{Arm, Axis, State};
 use super::timing::draw_loop;
 use super::tone::{BAD, GOOD, HEAD, QUIET, WARN};
 
-/// Cells of a joint's range. Wide enough to see where in its range a joint is.
+/// Cells of a joint's range; an odd number, so that its middle has one.
 const RANGE: usize = 17;
 
 /// A correction that is older says nothing of now, s. Then it is grey, or not shown.
@@ -196,8 +196,9 @@ fn number(axis: &Axis, value: f64) -> String {
     }
 }
 
-/// Counts since the run began of filter, guard and gate, the last refusal's reason, and what the
-/// task still lacks. A count of faults other than 0 has a colour.
+/// Counts since the run began of filter, guard and gate, the last refusal's reason, what the task
+/// still lacks, and the run's mark. Failures, interventions and refusals have a colour once there
+/// is one.
 fn safety_lines(state: &State) -> Vec<Line<'_>> {
     let counts = &state.counts;
     let tone = |count: u64, style| if count > 0 { style } else { GOOD };

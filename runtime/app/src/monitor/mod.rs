@@ -50,7 +50,7 @@ impl Screen {
 
 /// What a key asks for.
 ///
-/// None is answered by the monitor itself but the end.
+/// All but the end go to the run's socket.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum KeyAction {
     Quit,

@@ -108,7 +108,7 @@ fn table(body: &mut String, head: &[String], rows: &[Vec<TableCell>]) {
     body.push_str("</tbody></table></div>\n");
 }
 
-/// &A number is set to the right; the tone colours the rate alone.
+/// A number is set to the right; the tone colours the rate alone.
 fn table_cell(cell: &TableCell) -> String {
     let tone = match cell.tone {
         Tone::Plain => "",

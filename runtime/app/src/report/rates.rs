@@ -188,7 +188,7 @@ fn draw(mut plot: Plot, axis: Axis) -> Option<Block> {
     })
 }
 
-/// &Its title names the place; its series are the table's columns in their order, so that a column
+/// Its title names the place; its series are the table's columns in their order, so that a column
 /// has the same colour in all plots of the grid.
 fn empty_plot(study: &StudyRecord, table: &Table, axis: Axis, names: &[String]) -> Plot {
     let others = table.row_axes.iter().filter(|found| **found != axis);

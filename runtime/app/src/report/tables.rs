@@ -150,7 +150,7 @@ fn command_hashes<'a>(evaluations: impl Iterator<Item = &'a Evaluation>) -> Vec<
     trials.map(|trial| trial.command_hash.clone()).collect()
 }
 
-/// &None without an entry. The score is that of all training seeds together, since each is one
+/// None without an entry. The score is that of all training seeds together, since each is one
 /// sample of the same recipe.
 fn place<'a>(
     results: &Results,

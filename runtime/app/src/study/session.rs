@@ -95,7 +95,7 @@ impl Study {
         })
     }
 
-    /// &`executable_sha256` may be empty where nothing is made: only manifests have it.
+    /// `executable_sha256` may be empty where nothing is made: only manifests have it.
     fn workshop(&self, executable_sha256: String) -> Workshop<'_> {
         Workshop {
             store: &self.store,

@@ -79,8 +79,8 @@ pub(crate) struct EvalArgs {
 /// whatever the order in which they end: of a policy in this process the result does not depend on
 /// `--jobs`.
 ///
-/// Ctrl-C abandons the trials under way: the result of those that were done is written, and the exit
-/// code is 1, as it is if `--min-rate` or `--min-wilson` is not met.
+/// Ctrl-C abandons the trials under way: the result of those that were done is written, and the
+/// exit code is 1, as it is if `--min-rate` or `--min-wilson` is not met.
 pub(crate) fn eval(args: &EvalArgs) -> Done {
     let keep = keep(args)?;
     Inputs::new([

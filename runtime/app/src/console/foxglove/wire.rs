@@ -1,4 +1,5 @@
-//! What goes over the WebSocket of a viewer, either way.
+//! What goes over the WebSocket of a viewer, either way. The binary messages begin with a code: 1
+//! is data of a subscription, 2 the time; numbers are little endian.
 
 use std::time::Duration;
 
@@ -31,6 +32,7 @@ pub(super) enum Request {
     Other,
 }
 
+/// Its id is the viewer's choice, by which data is sent; its channel's that of `advertise`.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct Subscription {
@@ -56,6 +58,7 @@ pub(super) fn stamp(message: &Bytes) -> TimeNs {
     TimeNs((seconds.map_or(0.0, f64::from_le_bytes) * 1e9).round() as u64)
 }
 
+/// A message as JSON, as most of the protocol's are.
 pub(super) async fn text(
     socket: &mut WebSocket,
     message: &serde_json::Value,
@@ -63,6 +66,7 @@ pub(super) async fn text(
     send(socket, Message::Text(message.to_string().into())).await
 }
 
+/// Gives up after `SEND`.
 pub(super) async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Disconnected> {
     match timeout(SEND, socket.send(message)).await {
         Ok(Ok(())) => Ok(()),

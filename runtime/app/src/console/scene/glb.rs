@@ -1,4 +1,5 @@
-//! Meshes and cameras as a binary glTF 2.0 file: one JSON chunk and one of numbers.
+//! Meshes and cameras as a binary glTF 2.0 file: one JSON chunk and one of numbers. glTF 2.0,
+//! section 4 (GLB). Nodes are added in the order in which `scene::message` says their poses.
 
 use hal::{Intrinsics, Mesh, Pose};
 use serde_json::{Value, json};
@@ -128,6 +129,7 @@ impl Writer {
         self.numbers.file(file)
     }
 
+    /// `extras` is null for a visual, or says the `kind` of what is drawn beside them.
     fn node_with_mesh(
         &mut self,
         name: &str,
@@ -160,6 +162,7 @@ impl Writer {
     }
 }
 
+/// A node at `pose`; glTF's quaternions are x, y, z, w.
 fn placed(name: &str, pose: &Pose) -> Value {
     let (at, turned) = (pose.translation.vector, pose.rotation.coords);
     json!({

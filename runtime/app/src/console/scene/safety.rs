@@ -1,4 +1,6 @@
-//! What of an arm's limits has a place: forbidden regions, workspaces, remote centres.
+//! What of an arm's limits has a place: forbidden regions, workspaces, remote centres. They are
+//! drawn where the configuration has them, in the scene frame; whether an arm keeps them is the
+//! guard's matter.
 
 use hal::Pose;
 use hal::mesh::single;
@@ -9,6 +11,7 @@ use trocar_render::shapes::{capsule, cuboid, placed, sphere};
 
 use super::glb::{Glass, Writer};
 
+/// Sides of what is round.
 const SEGMENTS: u32 = 32;
 
 /// How far a half-space's plane is drawn, m to each side of its point.
@@ -40,6 +43,7 @@ pub(super) fn draw(writer: &mut Writer, arms: &[ArmConfig]) {
     }
 }
 
+/// A half-space is drawn as a thin sheet on its plane, since it has no end.
 fn draw_region(writer: &mut Writer, region: &Region, scene_from_rcm: &Pose) {
     let mesh = match region.shape.moved(scene_from_rcm) {
         Shape::Sphere { center_m, radius_m } => {
@@ -74,6 +78,7 @@ fn at(point_m: Vector3<f64>, z: Vector3<f64>) -> Pose {
     Pose::from_parts(Translation3::from(point_m), turned)
 }
 
+/// The frame of a box: its middle, and its axes.
 fn frame(block: &Block) -> Pose {
     Pose::from_parts(
         Translation3::from(block.center_m),
