@@ -3,6 +3,14 @@
 //!
 //! Every triangle keeps at least 58 % of its area. No two overlap: a chart takes a triangle only if
 //! it covers none that is there.
+//!
+//! A triangle goes to the direction of the largest component of its normal `n`. That is at least
+//! `1 / sqrt(3)` = 0.577 of its length, which is the bound on the area above (box projection).
+//!
+//! Charts grow breadth-first over edges from the lowest triangle that has none, so the result
+//! depends on the mesh alone. All charts of a mesh are scaled alike, so texel density is even over
+//! it; between meshes it differs. Edges between charts are seams: [`crate::texture`] paints by the
+//! place in the scan, so colours agree across them.
 
 mod chart;
 mod pack;

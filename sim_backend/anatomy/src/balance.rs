@@ -5,6 +5,12 @@
 //! Of all moves that give each group its volume, to first order, these change the surfaces least;
 //! the potentials solve a Laplace equation on the graph of groups, weighted by the areas of their
 //! common surfaces.
+//!
+//! With `A_ab` the area between groups a and b, the change of a's volume is
+//! `sum over b of A_ab (p_a - p_b)` to first order, which is the Laplacian of that graph applied to
+//! `p`. The background has `p` = 0: it takes what all groups together gain. Smoothing and
+//! decimation each end with it. It doesn't look for sheets that pass each other: `hold` and the
+//! caller do.
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
@@ -17,12 +23,18 @@ const GROUPS: usize = 32;
 const ROUNDS: u32 = 6;
 
 /// Twice the area of a triangle along its normal.
+///
+/// It points to the group before the triangle, `sides[1]`. Only its length is twice the area;
+/// nothing is normalised.
 fn area_normal(complex: &Complex, triangle: usize) -> Vector3<f64> {
     let [a, b, c] = complex.corners(triangle);
     (b - a).cross(&(c - a))
 }
 
 /// Potentials that add `wanted` (mm³ by group) to the volumes, mm.
+///
+/// Dense LU of 32 x 32, some microseconds; the sums over triangles cost more. None if the matrix is
+/// singular, as where a set of groups has no common surface with the background. Entry 0 is 0.
 fn potentials(complex: &Complex, wanted: &[f64]) -> Option<DVector<f64>> {
     let mut laplace = DMatrix::zeros(GROUPS, GROUPS);
     for (triangle, sides) in complex.sides.iter().enumerate() {
@@ -53,6 +65,10 @@ fn potentials(complex: &Complex, wanted: &[f64]) -> Option<DVector<f64>> {
 /// that gives the place where it goes.
 ///
 /// Later rounds take what the first left by curvature and by what was held.
+///
+/// `targets` has 32 entries. A vertex moves by the mean of its triangles' moves, weighted by area,
+/// and in each round by a sixth of `most_mm` at most; so a volume that is further off stays off,
+/// and nothing reports that but the caller's measures.
 pub(crate) fn balance(
     complex: &mut Complex,
     targets: &[f64],

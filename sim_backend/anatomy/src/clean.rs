@@ -1,4 +1,8 @@
 //! Repairs of a segmentation: islands and holes, and voxels that touch at an edge or a corner only.
+//!
+//! The order is fixed: [`remove_islands`] first, since its counts decide the volumes that meshes
+//! shall have, then [`separate_touching`], which moves a few voxels for the surfaces' sake alone.
+//! Both work on the groups of the padded volume, not on labels.
 
 mod components;
 mod touching;

@@ -1,4 +1,9 @@
 //! A CT: NIfTI, or a folder with a DICOM series.
+//!
+//! Both come out as the same lattice and HU values. The NIfTI values are what the header's slope
+//! and intercept make of the stored numbers; they are taken for HU without a check, since nothing
+//! in such a file says so. Segmentation reads CTs; the mesh pipeline reads label volumes and never
+//! comes here.
 
 use std::path::Path;
 
@@ -17,7 +22,8 @@ pub enum CtError {
     /// The DICOM series is.
     #[error(transparent)]
     Dicom(#[from] DicomError),
-    /// A voxel is not a number.
+    /// A voxel is NaN or infinite, as floating-point NIfTI files may hold outside of the field of
+    /// view.
     #[error("{path}: voxel {voxel:?} is {value}, no CT value")]
     NoNumber {
         /// The file or folder.
@@ -31,6 +37,9 @@ pub enum CtError {
 
 impl Ct {
     /// Reads `path`: `.nii`, `.nii.gz`, or a folder with one DICOM series.
+    ///
+    /// A CT of a gigavoxel takes 4 GiB: values are kept in single precision, which holds every
+    /// 16-bit CT value exactly.
     ///
     /// # Errors
     /// [`CtError`].

@@ -7,6 +7,15 @@
 //! surface is kept as a sample of the triangle nearest to it, and no collapse takes a sample
 //! farther than the bound from triangles between the same two groups. And no collapse lets a
 //! triangle cross another of its part.
+//!
+//! Way of a complex: cut into slabs along its longest side, each decimated by itself with the
+//! vertices between slabs held (`split`, `state`), put together (`merge`), and decimated once more
+//! without any held. The samples of the first pass are those of the second, so the bound is not
+//! doubled.
+//!
+//! The bound is one-sided: from the fine vertices to the coarse triangles. How far the coarse
+//! surface strays from the fine one between them is not bounded; [`crate::measure`] measures both
+//! directions.
 
 mod cells;
 mod collapse;
@@ -25,15 +34,22 @@ pub(crate) use cells::crossing_vertices;
 use state::State;
 
 /// Triangles of a part that is decimated by itself.
+///
+/// A patient of 4.4 million fine triangles makes 18 parts, which is work for many cores; larger
+/// parts have shorter rims, at which nothing collapses in the first pass.
 const PART: usize = 250_000;
 
 /// A complex with the samples of each triangle, and vertices that must stay.
 #[derive(Default)]
 struct Sampled {
+    /// Its triangles and vertices, with numbers of its own.
     complex: Complex,
+    /// Vertices of the fine surface, mm. They never move; only the triangle that each belongs to
+    /// changes.
     samples: Vec<Point3<f64>>,
-    /// The triangle of each sample.
+    /// The triangle of each sample, one between the same two groups as a fine triangle at it.
     sampled: Vec<u32>,
+    /// Whether each vertex is in other parts too.
     locked: Vec<bool>,
     /// Vertices' indices in the whole, where this is a part of it.
     whole: Vec<u32>,
@@ -44,6 +60,9 @@ struct Sampled {
 ///
 /// Parts run on all cores with the vertices between them kept, then all once more as a whole. The
 /// result depends on neither cores nor their timing.
+///
+/// Most of the time of a build goes here: a trial that has passed the cheap rules looks at all
+/// samples of its triangles. Vertices of the result need not be vertices of `complex`.
 #[must_use]
 pub fn decimate(complex: Complex, error_mm: f64) -> Complex {
     let parts = split(&complex);

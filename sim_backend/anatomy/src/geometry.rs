@@ -1,8 +1,15 @@
 //! Points and triangles.
+//!
+//! All in double precision with plain rounding, not exact predicates: near-degenerate pairs may be
+//! judged either way. `tests/scripts/anatomy.py` checks results in exact arithmetic.
 
 use nalgebra::Point3;
 
 /// The point of a triangle nearest to `p` (Ericson, Real-Time Collision Detection, 5.1.5).
+///
+/// The plane is cut into the Voronoi regions of corners, sides and inside; the first that `p` is in
+/// decides. NaN may come of a triangle whose first two corners coincide; comparisons by `<` then
+/// pass it over.
 pub(crate) fn nearest_on_triangle(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> Point3<f64> {
     let (ab, ac) = (b - a, c - a);
     let ap = p - a;
@@ -46,12 +53,17 @@ pub(crate) fn distance_squared(p: &Point3<f64>, triangle: &[Point3<f64>; 3]) -> 
 }
 
 /// Six times the signed volume of the tetrahedron of four points.
+///
+/// Positive where `d` lies on the side from which a, b, c are seen counter-clockwise.
 fn volume(a: &Point3<f64>, b: &Point3<f64>, c: &Point3<f64>, d: &Point3<f64>) -> f64 {
     (b - a).cross(&(c - a)).dot(&(d - a))
 }
 
 /// Whether an edge of the triangle `first` runs through the inside of `second`. Edges that end at a
 /// vertex of `second`, by their numbers, do not.
+///
+/// The ends must lie strictly on both sides of the plane and the edge pass all three sides the same
+/// way round. So an edge in the plane, or through a side of `second`, pierces nothing.
 fn pierces(
     (numbers, first): (&[u32; 3], &[Point3<f64>; 3]),
     (others, second): (&[u32; 3], &[Point3<f64>; 3]),
@@ -72,6 +84,10 @@ fn pierces(
 }
 
 /// Whether two triangles cross; what touches, or has an edge in common, does not.
+///
+/// Vertices are compared by number, not by place: two at one place with different numbers are not
+/// common. Boxes are compared first, which settles most pairs. Two triangles in one plane never
+/// cross.
 pub(crate) fn cross(
     first: (&[u32; 3], &[Point3<f64>; 3]),
     second: (&[u32; 3], &[Point3<f64>; 3]),

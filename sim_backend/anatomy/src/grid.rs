@@ -1,15 +1,28 @@
 //! Where the voxels of a scan lie.
+//!
+//! A lattice is an affine map from voxel indices to the scan's world. NIfTI's sform and DICOM's
+//! image plane both become one; nothing behind the readers knows which file it was. Volumes store
+//! voxel `(i, j, k)` at index `i + dims[0] * (j + dims[1] * k)`, whatever the axes are called in
+//! the patient.
+//!
+//! [`Turn`] permutes and reverses axes without resampling. It is for networks that want a fixed
+//! orientation; surfaces are made on the file's own lattice.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::number::real;
 
 /// A lattice of voxels and its place in the world: right, anterior, superior (RAS) of the scan, mm.
+///
+/// World from voxel: `p = steps * (i, j, k) + origin`. The axes may be oblique and, of a tilted
+/// gantry, not at right angles. Readers keep `steps` invertible, the spacings in 0.01 to 100 mm and
+/// the sides in 1 to 4096; the public fields don't enforce it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
-    /// Voxels along the first, second and third axis of the file.
+    /// Voxels along the first, second and third axis of the file. The first runs fastest in memory.
     pub dims: [usize; 3],
-    /// Columns are the steps in the world from a voxel to its neighbour along each axis, mm.
+    /// Columns are the steps in the world from a voxel to its neighbour along each axis, mm:
+    /// direction cosines times spacing, the upper left 3 x 3 of NIfTI's sform.
     pub steps: Matrix3<f64>,
     /// Where the centre of voxel (0, 0, 0) is in the world, mm.
     pub origin: Vector3<f64>,
@@ -28,6 +41,9 @@ impl Grid {
     }
 
     /// How many voxels there are.
+    ///
+    /// It is also the length of every buffer of voxels on this lattice. The product is not checked:
+    /// readers bound it by 2^30.
     #[must_use]
     pub const fn len(&self) -> usize {
         self.dims[0] * self.dims[1] * self.dims[2]
@@ -52,6 +68,9 @@ impl Grid {
     }
 
     /// Voxel coordinates from the world; none if the lattice is flat.
+    ///
+    /// The linear part alone: take `origin` off a point before it is multiplied. Inverts 3 x 3 on
+    /// each call, so callers keep it outside of their loops.
     #[must_use]
     pub fn voxel_from_world(&self) -> Option<Matrix3<f64>> {
         self.steps.try_inverse()
@@ -64,6 +83,8 @@ impl Grid {
     }
 
     /// Volume of a voxel, mm³.
+    ///
+    /// It is that of the parallelepiped of the three steps, so right for sheared lattices too.
     #[must_use]
     pub fn voxel_mm3(&self) -> f64 {
         self.steps.determinant().abs()
@@ -71,12 +92,19 @@ impl Grid {
 
     /// Whether the axes of the file are a left-handed set in the world, so that what winds one way
     /// there winds the other here.
+    ///
+    /// A determinant below 0, as of the `LAS` volumes of many scanners. Triangles that were wound
+    /// in voxel coordinates are then turned over (`Complex::flip`).
     #[must_use]
     pub fn is_mirrored(&self) -> bool {
         self.steps.determinant() < 0.0
     }
 
     /// The axes as letters: where each one of the file leads in the world, such as `LPS`.
+    ///
+    /// Each letter is the direction in which the index grows (nibabel's convention, the one of
+    /// NIfTI). An axis is named by its largest component, so a lattice turned by about 45 degrees
+    /// may have a letter twice.
     #[must_use]
     pub fn orientation(&self) -> String {
         let letters = [['R', 'L'], ['A', 'P'], ['S', 'I']];
@@ -90,9 +118,11 @@ impl Grid {
     }
 }
 
-/// Which axes of a lattice lead where, with those that lead the other way.
+/// A permutation and reversal of a lattice's axes, made by [`Grid::turn_to`]. It moves voxels and
+/// mixes none, so that [`Turn::back`] undoes [`Turn::turned`] exactly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Turn {
+    /// Sides of the lattice that it turns, in that lattice's order.
     dims: [usize; 3],
     /// Of each axis of the turned lattice, the lattice's own.
     from: [usize; 3],
@@ -103,6 +133,11 @@ pub struct Turn {
 impl Grid {
     /// How the axes have to be permuted and reversed to lead in the directions nearest to `wanted`,
     /// such as `RAS`; none if those are not three directions.
+    ///
+    /// `wanted` is three letters of `R`/`L`, `A`/`P`, `S`/`I`, one of each pair. Of the six orders
+    /// of axes the one with the largest sum of absolute cosines is taken, the identity first where
+    /// several are equal; so two axes never get the same direction. An oblique lattice stays
+    /// oblique: no voxel is interpolated.
     #[must_use]
     pub fn turn_to(&self, wanted: &str) -> Option<Turn> {
         let letters: Vec<char> = wanted.chars().collect();
@@ -147,12 +182,16 @@ fn direction(letter: char) -> Option<(usize, bool)> {
 
 impl Turn {
     /// What belongs to the lattice's axes, by the turned ones.
+    ///
+    /// For sides and spacings. Signs are not applied, so it is not for directions.
     #[must_use]
     pub fn of<T: Copy>(&self, own: [T; 3]) -> [T; 3] {
         self.from.map(|axis| own[axis])
     }
 
     /// Of each voxel of the turned lattice in its order, the index in the lattice's own order.
+    ///
+    /// A row costs two additions, a voxel one multiplication and one addition.
     fn indices(&self) -> impl Iterator<Item = usize> + '_ {
         let strides = [1, self.dims[0], self.dims[0] * self.dims[1]];
         let [width, height, depth] = self.of(self.dims);
@@ -169,12 +208,17 @@ impl Turn {
     }
 
     /// `values` of the lattice's voxels in the order of the turned one.
+    ///
+    /// `values` has a value a voxel, the first axis fastest. A new buffer, O(n); panics if `values`
+    /// is shorter than the lattice.
     #[must_use]
     pub fn turned<T: Copy>(&self, values: &[T]) -> Vec<T> {
         self.indices().map(|index| values[index]).collect()
     }
 
     /// `values` of the turned lattice's voxels in the order of the lattice's own.
+    ///
+    /// The inverse of [`Turn::turned`].
     #[must_use]
     pub fn back<T: Copy + Default>(&self, values: &[T]) -> Vec<T> {
         let mut own = vec![T::default(); values.len()];

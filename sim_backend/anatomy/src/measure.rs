@@ -1,4 +1,11 @@
 //! How well a mesh stands for its voxels.
+//!
+//! Two surfaces are compared, the mesh and the faces of the group's voxels, and two volumes. All
+//! distances are in voxels, in the padded volume's coordinates: 1 is the distance of neighbours
+//! along any axis, whatever it is in mm. That is the scale on which a segmentation is uncertain.
+//!
+//! Distances are sampled, so the largest one found is a lower bound of the Hausdorff distance.
+//! Samples depend on mesh and group alone and not on the cores.
 
 mod boundary;
 pub(crate) mod nearest;

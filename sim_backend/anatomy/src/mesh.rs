@@ -1,4 +1,9 @@
 //! The mesh of one group.
+//!
+//! A [`GroupMesh`] is what assets, textures, distances and tetrahedra are made of. It is cut out of
+//! the common [`Complex`] after all surfaces have settled; from then on vertices don't move. Two
+//! groups that touch have the same triangles at the common surface, wound the other way in the
+//! other mesh.
 
 use nalgebra::{Point3, Vector3};
 
@@ -6,22 +11,31 @@ use crate::number::{index, single};
 use crate::surface::complex::Complex;
 
 /// A group's closed surface in the scan's world (RAS), mm.
+///
+/// Positions are in double precision here and in single precision, metres, in assets. Closed (every
+/// edge has two triangles) if the complex was; a group with several pieces is one mesh.
 #[derive(Clone, Debug, Default)]
 pub struct GroupMesh {
     /// The group's index in [`crate::groups::Groups::groups`].
     pub group: usize,
-    /// Places of vertices, mm.
+    /// Places of vertices, mm, in the order in which triangles first name them; each is a corner of
+    /// some triangle.
     pub positions: Vec<Point3<f64>>,
-    /// Corners, counter-clockwise from outside.
+    /// Corners, counter-clockwise from outside; indices into `positions`.
     pub triangles: Vec<[u32; 3]>,
-    /// Unit normals of vertices, outwards.
+    /// Unit normals of vertices, outwards, as many as `positions`.
     pub normals: Vec<[f32; 3]>,
-    /// Texture coordinates of each triangle's corners in the unit square, v upwards.
+    /// Texture coordinates of each triangle's corners in the unit square, v upwards. They belong to
+    /// corners, not vertices, since a vertex on a seam has several. Empty until
+    /// [`crate::atlas::unwrap`], then as many as `triangles`.
     pub uv: Vec<[[f32; 2]; 3]>,
 }
 
 impl GroupMesh {
     /// The surface of the group with the index `group`; empty if it has none.
+    ///
+    /// O(all triangles and vertices of the complex), so all groups together cost groups times that;
+    /// `build` runs them in parallel. `uv` stays empty.
     #[must_use]
     pub fn of(complex: &Complex, group: usize) -> Self {
         let mut places = vec![u32::MAX; complex.positions.len()];
@@ -56,6 +70,10 @@ impl GroupMesh {
     }
 
     /// Normals weighted by the angles of triangles at the vertex.
+    ///
+    /// Weights are by G. Thürmer and C. A. Wüthrich (1998): unlike area weights they do not depend
+    /// on how a flat region is cut into triangles. Triangles without area are left out; a vertex of
+    /// such triangles only gets +z.
     fn vertex_normals(&self) -> Vec<[f32; 3]> {
         let mut sums = vec![Vector3::zeros(); self.positions.len()];
         for triangle in 0..self.triangles.len() {
@@ -79,6 +97,10 @@ impl GroupMesh {
     }
 
     /// The volume inside, mm³.
+    ///
+    /// By the divergence theorem: `sum of a . (b x c) / 6` over triangles, about the first vertex
+    /// to keep digits. Positive for a closed mesh wound outwards; without a meaning for an open
+    /// one. 0 if it is empty.
     #[must_use]
     pub fn volume_mm3(&self) -> f64 {
         let Some(about) = self.positions.first() else {
@@ -93,6 +115,9 @@ impl GroupMesh {
 
     /// Edges with the triangles at them, sorted: (lower vertex, higher vertex, triangle, whether it
     /// runs from low to high).
+    ///
+    /// Three entries a triangle, sorted by vertices and then by triangle, so that those at one edge
+    /// stand together for `chunk_by`. O(n log n).
     pub(crate) fn edges(&self) -> Vec<(u32, u32, u32, bool)> {
         let mut edges = Vec::with_capacity(3 * self.triangles.len());
         for (t, [a, b, c]) in self.triangles.iter().enumerate() {
@@ -105,6 +130,9 @@ impl GroupMesh {
     }
 
     /// Whether every edge has exactly two triangles, which run along it in opposite directions.
+    ///
+    /// An empty mesh is not. It says nothing of vertices where two fans touch, or of triangles that
+    /// cross; the repairs and the decimation are there to prevent those.
     #[must_use]
     pub fn is_watertight(&self) -> bool {
         let edges = self.edges();

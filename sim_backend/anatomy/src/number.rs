@@ -1,5 +1,7 @@
 //! Numbers between the widths that voxels, triangles and files have. What does not fit is a
 //! programming error, and asserted.
+//!
+//! Conversions live here so that each cast, and the reason why it is safe, stands in one place.
 
 /// A count as a real number; exact below 2^53.
 #[expect(clippy::cast_precision_loss, reason = "counts stay far below 2^53")]
@@ -8,6 +10,9 @@ pub(crate) const fn real(count: usize) -> f64 {
 }
 
 /// An index in 32 bits, as meshes keep them.
+///
+/// Panics at `u32::MAX` and above. `u32::MAX` itself is kept free: vertices, samples and parts use
+/// it for "none".
 #[expect(clippy::cast_possible_truncation, reason = "asserted to fit")]
 pub(crate) const fn index(count: usize) -> u32 {
     assert!(count < u32::MAX as usize, "more indices than 32 bits have");
@@ -15,6 +20,8 @@ pub(crate) const fn index(count: usize) -> u32 {
 }
 
 /// A count in 16 bits with a sign, as headers of volumes keep it.
+///
+/// Panics beyond `i16::MAX`.
 #[expect(clippy::cast_possible_truncation, reason = "asserted to fit")]
 pub(crate) const fn count_i16(count: usize) -> i16 {
     assert!(count < 1 << 15, "a count beyond 15 bits");
@@ -22,6 +29,8 @@ pub(crate) const fn count_i16(count: usize) -> i16 {
 }
 
 /// The whole number at or below `value`, cut to `0..=most`.
+///
+/// NaN gives 0, which is what keeps lattice look-ups of hostile meshes within their lists.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -41,12 +50,16 @@ pub(crate) const fn single(value: f64) -> f32 {
 }
 
 /// `value` rounded to the nearest number of 16 bits.
+///
+/// Halves go away from 0, NaN gives 0.
 #[expect(clippy::cast_possible_truncation, reason = "cut to the range")]
 pub(crate) fn rounded_i16(value: f64) -> i16 {
     value.round().clamp(-32768.0, 32767.0) as i16
 }
 
 /// `value` as a label if it is a whole number of 16 bits.
+///
+/// None for fractions, NaN, infinities and what is outside of [0, 65535]; -0.0 is 0.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,

@@ -1,9 +1,15 @@
 //! How well two label volumes agree.
+//!
+//! It compares voxels by index, so both volumes must be on one lattice; [`crate::measure`] compares
+//! a mesh with voxels.
 
 use crate::number::real;
 
 /// Dice of each group 1 to `groups` between two volumes of group numbers: twice what both have by
 /// what each has; none for a group that neither has.
+///
+/// `2 |A and B| / (|A| + |B|)`, 1 where they are the same. Groups above `groups` and the background
+/// count only against the others. One pass over both volumes.
 ///
 /// # Panics
 /// If they have different numbers of voxels.

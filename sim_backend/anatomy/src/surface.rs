@@ -1,4 +1,9 @@
 //! Surfaces between groups of voxels.
+//!
+//! From a [`Padded`](crate::volume::Padded) volume to triangles with a group on either side:
+//! [`nets`] or [`cubes`] find the faces, [`complex`] holds them in the world. Neither smooths nor
+//! decimates. Vertices begin where voxels say, at most half a voxel off any smooth surface through
+//! them.
 
 pub mod complex;
 pub mod cubes;

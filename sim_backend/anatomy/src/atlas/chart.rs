@@ -1,4 +1,7 @@
 //! A chart: triangles side by side in a plane.
+//!
+//! Coordinates are mm in the plane that the chart is seen along. Overlaps arise where a surface
+//! folds back behind itself and still faces the same way; such a triangle begins another chart.
 
 use std::collections::BTreeMap;
 
@@ -8,15 +11,23 @@ use crate::mesh::GroupMesh;
 
 /// Triangles in a plane, none over another.
 pub(super) struct Chart {
+    /// Indices in the mesh, with corners in the plane, counter-clockwise.
     triangles: Vec<(usize, [Point2<f64>; 3])>,
-    /// Triangles by the cells that their boxes touch.
+    /// Places in `triangles` by the cells that their boxes touch: a hash grid without a hash, so
+    /// that its order is fixed.
+    ///
+    /// Side of a cell, mm: twice an edge of the mesh's first triangle.
     cells: BTreeMap<(i64, i64), Vec<usize>>,
     cell: f64,
+    /// The box of all triangles; infinite the wrong way round while there is none.
     low: Point2<f64>,
     high: Point2<f64>,
 }
 
 /// Whether two triangles have points in common besides those on their sides.
+///
+/// The separating axis theorem with the six normals of sides. What overlaps by less than 1e-9 mm
+/// only touches; sides without length separate nothing.
 fn overlap(a: &[Point2<f64>; 3], b: &[Point2<f64>; 3]) -> bool {
     let separated = |one: &[Point2<f64>; 3], other: &[Point2<f64>; 3]| {
         (0..3).any(|i| {
@@ -53,6 +64,7 @@ impl Chart {
         }
     }
 
+    /// The cells that the box of a triangle touches.
     #[expect(
         clippy::cast_possible_truncation,
         reason = "cells of a body some metres in size"

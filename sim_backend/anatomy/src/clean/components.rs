@@ -1,4 +1,8 @@
 //! Pieces of each group that hang together by faces of voxels, found by runs along the first axis.
+//!
+//! Connected components with 6-neighbourhood, labelled by union-find over runs rather than voxels:
+//! a volume of 150 million voxels has some million runs. The background is a group like the others
+//! here, so that voids are its pieces.
 
 use hal::count::count_u8;
 use std::collections::BTreeMap;
@@ -8,30 +12,44 @@ use crate::number::index;
 use crate::volume::Padded;
 
 /// Voxels in a row with one group.
+///
+/// Padded coordinates; the row is known by where the run stands in `Runs::rows`.
 struct Run {
+    /// Its first voxel along x.
     start: u32,
+    /// One past its last voxel.
     end: u32,
+    /// The group of all its voxels.
     group: u8,
 }
 
 /// Runs of a volume and which of them hang together.
 struct Runs {
+    /// Row by row, and from left to right in each: together they cover the volume.
     runs: Vec<Run>,
     /// The first run of each row, and the end.
+    ///
+    /// Row `y + dims[1] * z`; one entry more than rows.
     rows: Vec<usize>,
     /// A forest of runs; a root stands for a piece.
+    ///
+    /// A root is its own parent, and the lowest run of its piece.
     parents: Vec<u32>,
 }
 
 /// What is known of a piece.
 #[derive(Clone, Copy, Default)]
 struct Piece {
+    /// How many it has.
     voxels: u64,
     /// Whether it reaches the margin.
+    ///
+    /// Only the background does: it is the outside of the body, not a void.
     outside: bool,
 }
 
 impl Runs {
+    /// One pass over the voxels; no two runs are joined yet.
     fn of(volume: &Padded) -> Self {
         let mut runs = Vec::new();
         let mut rows = vec![0];
@@ -53,6 +71,7 @@ impl Runs {
         }
     }
 
+    /// Paths are halved on the way (Tarjan and van Leeuwen), which keeps them short.
     fn root(&mut self, mut run: u32) -> u32 {
         while self.parents[run as usize] != run {
             let above = self.parents[self.parents[run as usize] as usize];
@@ -63,6 +82,9 @@ impl Runs {
     }
 
     /// Gives `meet` each pair of runs that share faces, with how many, the earlier first.
+    ///
+    /// Contacts with the run before in the same row, with the row before and with the slice before:
+    /// each shared face is met once. Runs of different groups are given as well as those of one.
     fn each_contact(&self, dims: [usize; 3], mut meet: impl FnMut(u32, u32, u32)) {
         for row in 0..self.rows.len() - 1 {
             for run in self.rows[row] + 1..self.rows[row + 1] {
@@ -78,6 +100,7 @@ impl Runs {
         }
     }
 
+    /// Two rows that are neighbours are merged like sorted lists, O(runs of both).
     fn row_contacts(&self, a: usize, b: usize, meet: &mut impl FnMut(u32, u32, u32)) {
         let (mut i, mut j) = (self.rows[a], self.rows[b]);
         while i < self.rows[a + 1] && j < self.rows[b + 1] {
@@ -98,6 +121,7 @@ impl Runs {
         }
     }
 
+    /// Joins runs of one group that share faces.
     fn join(&mut self, dims: [usize; 3]) {
         let mut pairs = Vec::new();
         self.each_contact(dims, |a, b, _| {
@@ -119,6 +143,7 @@ impl Runs {
             .collect()
     }
 
+    /// By root; entries of runs that are no roots stay empty.
     fn pieces(&self, roots: &[u32], dims: [usize; 3]) -> Vec<Piece> {
         let mut pieces = vec![Piece::default(); self.runs.len()];
         for row in 0..self.rows.len() - 1 {
@@ -136,6 +161,8 @@ impl Runs {
 }
 
 /// Voxels of the largest piece of each group.
+///
+/// By group number, 256 entries.
 fn largest(runs: &Runs, pieces: &[Piece]) -> Vec<u64> {
     let mut largest = vec![0; 256];
     for (run, piece) in runs.runs.iter().zip(pieces) {
@@ -146,9 +173,14 @@ fn largest(runs: &Runs, pieces: &[Piece]) -> Vec<u64> {
 }
 
 /// Faces by group around each piece that may have to go.
+///
+/// By the root of the piece; 32 is the background and the most groups.
 type Contacts = BTreeMap<u32, [u32; 32]>;
 
 /// What a doubtful piece becomes, if it does not stay: the group with which it shares most faces.
+///
+/// None if it stays. Of groups with equally many faces the lowest number gets it, the background
+/// first.
 fn verdict(group: u8, piece: &Piece, contacts: &[u32; 32], least: u64) -> Option<u8> {
     let enclosed = contacts.iter().filter(|&&faces| faces > 0).count() == 1;
     let goes = piece.voxels < least || group == 0 && enclosed;
@@ -159,6 +191,10 @@ fn verdict(group: u8, piece: &Piece, contacts: &[u32; 32], least: u64) -> Option
 /// Gives pieces of less than `least` voxels, but for each group's largest, to the neighbour with
 /// which they share most faces; fills voids as small, and voids of any size inside of a single
 /// group.
+///
+/// All verdicts are on the volume as it was: an island beside another one takes the group that the
+/// other had before. `least` is in voxels. The margin stays background, since the piece that
+/// reaches it never goes. Runs, roots and pieces take some 40 bytes a run for the time being.
 pub fn remove_islands(volume: &mut Padded, least: u64) -> Cleaned {
     let dims = volume.dims;
     let mut runs = Runs::of(volume);
@@ -197,6 +233,7 @@ pub fn remove_islands(volume: &mut Padded, least: u64) -> Cleaned {
     summary(&runs, &pieces, &verdicts)
 }
 
+/// Writes the verdicts into the voxels, whole runs at a time.
 fn repaint(volume: &mut Padded, runs: &Runs, roots: &[u32], verdicts: &BTreeMap<u32, u8>) {
     if verdicts.is_empty() {
         return;
@@ -212,6 +249,7 @@ fn repaint(volume: &mut Padded, runs: &Runs, roots: &[u32], verdicts: &BTreeMap<
     }
 }
 
+/// What was changed, voids of the background apart from islands of groups.
 fn summary(runs: &Runs, pieces: &[Piece], verdicts: &BTreeMap<u32, u8>) -> Cleaned {
     let mut cleaned = Cleaned::default();
     for &root in verdicts.keys() {

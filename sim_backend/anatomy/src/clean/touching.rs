@@ -1,6 +1,13 @@
 //! Voxels of a group that touch at an edge or a corner only would make its surface touch itself
 //! there: the volume is made well-composed (Latecki, Eckhardt and Rosenfeld 1995), for all groups
 //! at once.
+//!
+//! In three dimensions two configurations are critical (L. Latecki, "3D well-composed pictures",
+//! 1997): four voxels around an edge of which two diagonal ones are in the set and two are not, and
+//! eight around a corner of which two opposite ones are in it alone, or out of it alone. Without
+//! them the faces around the set are a manifold.
+//!
+//! It is a greedy repair, not the smallest one.
 
 use rayon::prelude::*;
 
@@ -8,6 +15,9 @@ use crate::volume::Padded;
 
 /// Whether voxels of a block of 2 x 2 x 2, a bit each, touch the others of them at an edge or a
 /// corner only; bit x + 2 y + 4 z.
+///
+/// Both configurations are the same for a set and its complement, so a group and all that is not it
+/// are judged at once.
 const fn is_critical(mask: u8) -> bool {
     // Faces of the block in circular order.
     let faces = [
@@ -31,6 +41,7 @@ const fn is_critical(mask: u8) -> bool {
     matches!(mask, 0x81 | 0x42 | 0x24 | 0x18 | 0x7e | 0xbd | 0xdb | 0xe7)
 }
 
+/// `is_critical` of every mask, computed by the compiler.
 const CRITICAL: [bool; 256] = {
     let mut table = [false; 256];
     let mut mask = 0;
@@ -44,6 +55,8 @@ const CRITICAL: [bool; 256] = {
 };
 
 /// Groups of the block whose lowest voxel has the index `at`.
+///
+/// In the order of the bits of a mask: entry x + 2 y + 4 z.
 fn block(voxels: &[u8], strides: [usize; 3], at: usize) -> [u8; 8] {
     let [_, y, z] = strides;
     let pair = |at: usize| [voxels[at], voxels[at + 1]];
@@ -53,6 +66,8 @@ fn block(voxels: &[u8], strides: [usize; 3], at: usize) -> [u8; 8] {
 }
 
 /// How many groups of a block are in a critical place.
+///
+/// Each group counts once, at most four.
 fn criticals(block: [u8; 8]) -> usize {
     let is_first = |i: usize| !block[..i].contains(&block[i]);
     let mask = |group: u8| (0..8).fold(0, |mask, i| mask | u8::from(block[i] == group) << i);
@@ -79,6 +94,9 @@ fn critical_in_slice(volume: &Padded, z: usize) -> Vec<usize> {
 }
 
 /// Indices of the blocks that the voxel with the index `voxel` is in.
+///
+/// The eight whose lowest voxel is this one or before it. The voxel must not be in the margin, or
+/// an index would fall below 0.
 fn blocks_of(voxel: usize, strides: [usize; 3]) -> impl Iterator<Item = usize> {
     (0..8).map(move |corner| {
         (0..3)
@@ -96,6 +114,8 @@ fn criticals_around(voxels: &[u8], strides: [usize; 3], voxel: usize) -> usize {
 
 /// The change of one voxel in the block at `at`, to a group of lower rank in it, that leaves the
 /// fewest critical places around.
+///
+/// Sixty-four trials at most, each of eight blocks. None if no voxel of the block may change.
 fn best_change(volume: &mut Padded, ranks: &[u32], at: usize) -> Option<(usize, u8)> {
     let strides = volume.strides();
     let groups = block(&volume.voxels, strides, at);
@@ -122,6 +142,7 @@ fn best_change(volume: &mut Padded, ranks: &[u32], at: usize) -> Option<(usize, 
     best.map(|(_, voxel, to)| (voxel, to))
 }
 
+/// Whether a voxel lies in the outermost layer, which must stay background.
 fn is_margin(volume: &Padded, voxel: usize) -> bool {
     let [width, height, depth] = volume.dims;
     let [x, y, z] = [
@@ -137,6 +158,10 @@ fn is_margin(volume: &Padded, voxel: usize) -> bool {
 ///
 /// A voxel only ever goes to a group of lower rank (`ranks` by group number, all different), so
 /// this ends.
+///
+/// The search for critical blocks runs in parallel by slices, the changes one after the other, last
+/// found first; so the result depends on the volume alone. `ranks` comes from
+/// [`crate::groups::Groups::ranks`] and needs an entry for every group in the volume.
 pub fn separate_touching(volume: &mut Padded, ranks: &[u32]) -> u64 {
     let slices = 0..volume.dims[2] - 1;
     let mut waiting: Vec<usize> = slices

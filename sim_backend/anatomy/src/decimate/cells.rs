@@ -1,5 +1,9 @@
 //! Triangles by the cells of a lattice that their boxes touch, to find those that a collapse might
 //! cross.
+//!
+//! A uniform lattice over the box of all vertices. Lists may hold too many triangles, never too
+//! few: a triangle is put into the cells that it enters, and taken out of others only when their
+//! list is written to.
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -16,9 +20,14 @@ type Range = [[usize; 3]; 2];
 
 /// Triangles by cell; one that is gone, or has left, may still be in a list.
 pub(super) struct Cells {
+    /// The lower corner of the box of all vertices, mm. Points outside count as in the cell nearest
+    /// to them.
     low: Point3<f64>,
+    /// Side of a cell, mm.
     side: f64,
+    /// Cells along x, y and z.
     dims: [usize; 3],
+    /// Cell `x + dims[0] * (y + dims[1] * z)`.
     lists: Vec<Vec<u32>>,
 }
 
@@ -46,6 +55,7 @@ impl Cells {
         cells
     }
 
+    /// The cells that the box of `points` touches, both ends included.
     fn range(&self, points: &[Point3<f64>]) -> Range {
         let at = |p: &Point3<f64>| {
             [0, 1, 2].map(|k| floor_to((p[k] - self.low[k]) / self.side, self.dims[k] - 1))
@@ -59,6 +69,7 @@ impl Cells {
         })
     }
 
+    /// The places of those cells in `lists`, x fastest.
     fn within(&self, [low, high]: Range) -> impl Iterator<Item = usize> + use<> {
         let dims = self.dims;
         let column = move |y: usize, z: usize| {
@@ -68,6 +79,9 @@ impl Cells {
     }
 
     /// Triangles that may touch the box of `points`, each once, in order.
+    ///
+    /// What it gives may be far away, gone or one of those that are asked about: the caller sorts
+    /// them out.
     pub(super) fn near(&self, points: &[Point3<f64>]) -> Vec<u32> {
         let cells = self.within(self.range(points));
         let mut found: Vec<u32> = cells.flat_map(|cell| &self.lists[cell]).copied().collect();
@@ -105,6 +119,9 @@ impl Cells {
 
 /// Vertices of triangles that cross others, of their own group where groups are apart; each once,
 /// in order.
+///
+/// One lattice for all, then each triangle against those near it on all cores. Both triangles of a
+/// crossing pair give their vertices.
 pub(crate) fn crossing_vertices(complex: &Complex) -> Vec<u32> {
     let cells = Cells::new(&complex.positions, &complex.triangles);
     let corners = |t: usize| (&complex.triangles[t], complex.corners(t));

@@ -1,4 +1,8 @@
 //! One edge: where its vertices would go, whether that is allowed, and doing it.
+//!
+//! The rules, in the order in which they are asked, the cheap ones first: link condition, no two
+//! triangles with the same corners, shapes, samples within the bound, no crossing. A refused trial
+//! changes nothing.
 
 use nalgebra::Point3;
 
@@ -6,20 +10,26 @@ use super::quadric::Quadric;
 use super::state::{Kind, NONE, State, normal};
 use crate::geometry::{cross, distance_squared};
 
-/// Cosine of the most that a triangle may turn in one collapse.
+/// Cosine of the most that a triangle may turn in one collapse: 60 degrees.
 const TURN_MIN: f64 = 0.5;
 
 /// Least height of a triangle to its longest side, unless it was worse before.
+///
+/// An equilateral triangle has 0.87.
 const SHAPE_MIN: f64 = 0.08;
 
 /// A collapse that is being looked at: `goes` becomes `stays`, at `place`.
 struct Trial {
+    /// The vertex that is gone afterwards.
     goes: u32,
+    /// The vertex that is left; of the two the one that is held more.
     stays: u32,
+    /// Where it goes, mm.
     place: Point3<f64>,
-    /// Triangles at the edge, which vanish.
+    /// Triangles at the edge, which vanish: two on a sheet, on a line as many as sheets meet there.
     vanish: Vec<u32>,
-    /// Triangles that change, with their corners after it.
+    /// Triangles that change, with their corners after it: all around both vertices but those that
+    /// vanish.
     change: Vec<(u32, [Point3<f64>; 3])>,
 }
 
@@ -36,6 +46,12 @@ fn shape(corners: &[Point3<f64>; 3]) -> f64 {
 impl State {
     /// Where `u` and `v` may come together, if what holds them lets them; `bits` are the groups
     /// around their edge.
+    ///
+    /// Between two sheets the least of the summed quadrics, if it is within an edge's length of the
+    /// middle: near-flat regions have their least far away. Between two vertices of a line an end
+    /// or the middle, and only if the edge itself is on a line; a chord between two lines never
+    /// collapses. A vertex at the rim of a part stays and takes nothing in, for the other part
+    /// would not know.
     pub(super) fn place(&self, u: u32, v: u32, bits: u32) -> Option<Point3<f64>> {
         let [a, b] = [u, v].map(|v| self.positions[v as usize]);
         let on_line = bits.count_ones() > 2;
@@ -66,6 +82,7 @@ impl State {
         sum
     }
 
+    /// The cheapest of `places`; the last, which is the middle, where none is cheaper than it.
     fn best(&self, u: u32, v: u32, places: &[Point3<f64>; 3]) -> Point3<f64> {
         let sum = self.sum(u, v);
         let cheaper = |a: Point3<f64>, b: &Point3<f64>| if sum.at(b) < sum.at(&a) { *b } else { a };
@@ -96,6 +113,7 @@ impl State {
         Some(stays)
     }
 
+    /// None if the kinds of the vertices forbid it.
     fn trial(&self, goes: u32, stays: u32) -> Option<Trial> {
         let star = |v: u32| self.around[v as usize].iter().copied();
         let vanish: Vec<u32> = star(goes)
@@ -139,6 +157,10 @@ impl State {
 
     /// The link condition on the surface of every group that both vertices touch: they have two
     /// triangles in common there, and no neighbours besides these triangles' corners.
+    ///
+    /// The condition is that of T. Dey, H. Edelsbrunner, S. Guha and D. Nekhayev, "Topology
+    /// preserving edge contraction" (1999), for a closed 2-manifold: with it each group's surface
+    /// keeps its topology.
     fn links_allow(&self, trial: &Trial) -> bool {
         let opposite = |t: &u32| {
             let corners = self.triangles[*t as usize];
@@ -189,6 +211,9 @@ impl State {
     }
 
     /// Where each sample of the triangles goes, if all stay within the bound.
+    ///
+    /// Only triangles of the trial between the same two groups are looked at, so a sample that
+    /// another triangle is nearer to may refuse a collapse; never the reverse.
     fn samples_allow(&self, trial: &Trial, error_mm: f64) -> Option<Vec<(u32, u32)>> {
         let bound = error_mm * error_mm;
         let mut moves = Vec::new();
@@ -219,6 +244,10 @@ impl State {
     }
 
     /// Whether the changed triangles cross neither others nor each other.
+    ///
+    /// The costliest rule, so the last. Corners are renamed first, so that triangles that will
+    /// share the vertex are known to. Where groups have surfaces of their own only those of the
+    /// same group count.
     fn crosses_nothing(&self, trial: &Trial) -> bool {
         let points: Vec<_> = trial.change.iter().flat_map(|(_, after)| *after).collect();
         let sides = trial.change.first().map(|(t, _)| self.sides[*t as usize]);
@@ -245,6 +274,7 @@ impl State {
         })
     }
 
+    /// Carries the trial out: cells, corners, quadrics, groups and samples.
     fn execute(&mut self, trial: &Trial, moves: &[(u32, u32)]) {
         let (goes, stays) = (trial.goes as usize, trial.stays as usize);
         for (t, after) in &trial.change {

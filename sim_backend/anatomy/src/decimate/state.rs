@@ -1,4 +1,8 @@
 //! Triangles while edges collapse.
+//!
+//! Arrays by vertex, triangle and sample rather than linked half-edges: a non-manifold complex has
+//! edges with three triangles and more, which half-edges do not hold. Nothing is removed while
+//! edges collapse; what is gone is marked, and renumbered at the end.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -16,40 +20,57 @@ pub(super) const NONE: u32 = u32::MAX;
 /// What holds a vertex.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Kind {
-    /// Two groups meet.
+    /// Two groups meet; free to go anywhere.
     Sheet,
-    /// On a line where three meet, or more along the line.
+    /// On a line where three meet, or more along the line: exactly two edges at it have more than
+    /// two groups. It goes along that line only.
     Line,
-    /// Lines meet, or a part's rim.
+    /// Lines end or meet here, or a part's rim; it never moves.
     Fixed,
 }
 
 /// An edge that may collapse: cost as bits, which order like the number; vertices; their versions.
+///
+/// A candidate whose versions are not the vertices' own is out of date and is passed over, so that
+/// none has to be looked up in the heap. Equal costs fall back on vertices: the order is total, and
+/// the result always the same.
 type Candidate = Reverse<(u64, u32, u32, u32, u32)>;
 
 /// Triangles with what a collapse needs to know of their vertices.
 pub(super) struct State {
+    /// By vertex, mm. Of vertices that are gone the last place is left.
     pub(super) positions: Vec<Point3<f64>>,
+    /// By triangle; entries of those that vanished keep their old corners.
     pub(super) triangles: Vec<[u32; 3]>,
+    /// By triangle: the groups behind and before it, as in `Complex`.
     pub(super) sides: Vec<[u8; 2]>,
+    /// By triangle: whether it has not vanished.
     pub(super) alive: Vec<bool>,
-    /// Triangles around each vertex.
+    /// Triangles around each vertex, all alive; empty once the vertex is gone.
     pub(super) around: Vec<Vec<u32>>,
+    /// By vertex, decided once: a collapse leaves the kind of the vertex that stays.
     pub(super) kinds: Vec<Kind>,
     /// Groups around each vertex, a bit a group.
     pub(super) groups: Vec<u32>,
+    /// By vertex: the planes of all fine triangles that have collapsed into it.
     pub(super) quadrics: Vec<Quadric>,
+    /// See `Sampled`.
     pub(super) samples: Vec<Point3<f64>>,
-    /// The first sample of each triangle, and the one after each sample.
+    /// The first sample of each triangle; `NONE` if it has none.
     pub(super) first: Vec<u32>,
+    /// The sample after each one in the list of its triangle; `NONE` at the end.
     pub(super) next: Vec<u32>,
+    /// Where triangles are, for the search for those that a collapse might cross.
     pub(super) cells: Cells,
     /// Whether groups have surfaces of their own, which may cross those of others.
     pub(super) apart: bool,
     /// Counts changes around each vertex.
     versions: Vec<u32>,
+    /// The cheapest first.
     heap: BinaryHeap<Candidate>,
+    /// See `Sampled`.
     locked: Vec<bool>,
+    /// See `Sampled`.
     whole: Vec<u32>,
 }
 
@@ -65,6 +86,7 @@ pub(super) fn normal([a, b, c]: &[Point3<f64>; 3]) -> (Vector3<f64>, f64) {
 }
 
 impl State {
+    /// Linear in triangles and samples; the heap is still empty.
     pub(super) fn new(part: Sampled) -> Self {
         let count = part.complex.positions.len();
         let apart = part.complex.is_apart();
@@ -107,6 +129,9 @@ impl State {
     }
 
     /// Neighbours of `v` with the groups around the edge to each.
+    ///
+    /// Each neighbour once, in order of its number. Allocates; it runs once at each vertex, and
+    /// once after each collapse.
     fn edges(&self, v: u32) -> Vec<(u32, u32)> {
         let mut edges: Vec<(u32, u32)> = Vec::with_capacity(2 * self.around[v as usize].len());
         for &triangle in &self.around[v as usize] {
@@ -158,6 +183,9 @@ impl State {
     }
 
     /// Planes through the line from `v` to `w`, upright on the triangles at it, hold `v` on it.
+    ///
+    /// Garland and Heckbert's constraint planes for boundaries, with the squared length as weight
+    /// so that they count like triangles as wide as the edge.
     fn hold_line(&mut self, v: u32, w: u32) {
         let (p, along) = (
             self.positions[v as usize],
@@ -184,6 +212,9 @@ impl State {
     }
 
     /// Offers the edge from `u` to `v`, if it may collapse.
+    ///
+    /// The place is not kept: it is computed again when the edge's turn comes, from the same
+    /// numbers.
     fn offer(&mut self, u: u32, v: u32, bits: u32) {
         let (u, v) = (u.min(v), u.max(v));
         let Some(place) = self.place(u, v, bits) else {
@@ -200,6 +231,9 @@ impl State {
     }
 
     /// Collapses edges, cheapest first, until each that is left would break a rule.
+    ///
+    /// O(n log n) in edges. An edge that is refused is not tried again until a vertex of it has
+    /// moved.
     pub(super) fn run(mut self, error_mm: f64) -> Sampled {
         for v in 0..index(self.positions.len()) {
             for (w, bits) in self.edges(v) {

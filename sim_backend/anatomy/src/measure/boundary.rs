@@ -1,4 +1,8 @@
 //! The faces of a group's voxels, in voxel coordinates of the padded volume.
+//!
+//! A face is the unit square between a voxel of the group and one that is not of it. Its middle is
+//! half a voxel from both centres. The margin of the padded volume makes sure that every voxel of a
+//! group has one before it.
 
 use nalgebra::Point3;
 
@@ -6,12 +10,17 @@ use crate::number::{floor_to, real};
 use crate::volume::Padded;
 
 /// Whether a voxel and the one before it along `axis` differ in being of `group`.
+///
+/// `at` must have a voxel before it along `axis`, so x, y and z are at least 1.
 fn is_face(volume: &Padded, group: u8, at: usize, axis: usize) -> bool {
     let before = at - volume.strides()[axis];
     (volume.voxels[at] == group) != (volume.voxels[before] == group)
 }
 
 /// Middles of the faces around `group`, evenly thinned to at most `most`.
+///
+/// Thinned by halves as they come, so the memory is bounded, and the same ones are left for the
+/// same volume.
 pub(super) fn face_middles(volume: &Padded, group: u8, most: usize) -> Vec<Point3<f64>> {
     let mut middles = Vec::new();
     let mut thinning = 1;
@@ -54,6 +63,10 @@ fn face_distance_squared(p: &Point3<f64>, voxel: [usize; 3], axis: usize) -> f64
 }
 
 /// The distance of `p` from the nearest face around `group`, voxels.
+///
+/// A search in a cube of voxels about `p` that doubles until the nearest face found is nearer than
+/// what it has not seen. Cheap near the surface, which is where mesh points are; O(reach^3) far
+/// from it. Infinite if the group has no faces.
 pub(super) fn distance_to_boundary(volume: &Padded, group: u8, p: &Point3<f64>) -> f64 {
     let mut reach = 1;
     loop {

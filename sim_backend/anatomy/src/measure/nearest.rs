@@ -1,4 +1,8 @@
 //! The triangle nearest to a point, by a lattice of cells.
+//!
+//! Cells are walked in growing cubic rings about the point until no farther ring can hold anything
+//! nearer. Built once a mesh, read by many threads. Used for distances of voxel faces from meshes,
+//! and by [`crate::tetra`] to bring vertices to a surface.
 
 use nalgebra::Point3;
 
@@ -10,16 +14,23 @@ const CELLS_MAX: usize = 128;
 
 /// Triangles by cells.
 pub(crate) struct Nearest<'a> {
+    /// In voxels or mm: distances come out in the same unit.
     positions: &'a [Point3<f64>],
     triangles: &'a [[u32; 3]],
+    /// The lower corner of the box of all vertices.
     low: Point3<f64>,
+    /// Side of a cell: a 128th of the longest side of the box, and at least 1.
     cell: f64,
+    /// Cells along x, y and z.
     dims: [usize; 3],
+    /// Where the triangles of each cell begin in `list`, and the end.
     starts: Vec<u32>,
+    /// Triangles by cell; one that reaches over several cells is in each of them.
     list: Vec<u32>,
 }
 
 impl<'a> Nearest<'a> {
+    /// Sorts one entry a triangle and cell; some times as many as triangles.
     pub(crate) fn new(positions: &'a [Point3<f64>], triangles: &'a [[u32; 3]]) -> Self {
         let none = (
             Point3::from([f64::INFINITY; 3]),
@@ -92,6 +103,8 @@ impl<'a> Nearest<'a> {
     }
 
     /// The distance of `p` from the nearest triangle.
+    ///
+    /// Infinite if there is no triangle.
     pub(crate) fn distance(&self, p: &Point3<f64>) -> f64 {
         self.find(p).0.sqrt()
     }
@@ -105,6 +118,8 @@ impl<'a> Nearest<'a> {
     }
 
     /// The nearest triangle, with its squared distance.
+    ///
+    /// Triangle `u32::MAX` at an infinite distance if there is none.
     fn find(&self, p: &Point3<f64>) -> (f64, u32) {
         let at = self.cell_at(p);
         let most = self.dims.into_iter().max().unwrap_or(1);

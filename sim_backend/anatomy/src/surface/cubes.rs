@@ -3,6 +3,13 @@
 //!
 //! The table of triangles is computed from one rule, that on a cube's face corners of the group are
 //! cut off one by one, so that neighbouring cubes always agree.
+//!
+//! Labels have no values to interpolate between, so a vertex is always the middle of an edge
+//! between two voxels. Each group is looked at as a binary volume of its own: neighbours get two
+//! copies of their common surface, wound oppositely, that do not share vertices.
+//!
+//! It is there to compare with [`super::nets`]. Diagonals on a face, where marching cubes are
+//! ambiguous, cut both corners off; the pipeline's repairs have removed them before.
 
 use std::collections::BTreeMap;
 
@@ -26,14 +33,22 @@ const FACES: [[u8; 4]; 6] = [
 type Edge = (u8, u8);
 
 /// Triangles through edges' middles for each set of corners in the group.
+///
+/// Indexed by the mask of a cube: bit `x + 2 y + 4 z` is set where that corner is in the group. 256
+/// entries, most of a few triangles.
 struct Table(Vec<Vec<[Edge; 3]>>);
 
+/// The edge between two corners, whichever is named first.
 const fn edge(a: u8, b: u8) -> Edge {
     if a < b { (a, b) } else { (b, a) }
 }
 
 /// The edge by which a run of corners of `mask` ends on a face, by the edge by which it begins, for
 /// all faces of a cube.
+///
+/// Each face contributes segments of the contour, directed so that the group is on the same side
+/// along all of them. As neighbouring cubes see the same four corners of their common face they cut
+/// it in the same segments.
 fn crossings(mask: u8) -> BTreeMap<Edge, Edge> {
     let inside = |corner: u8| mask >> corner & 1 == 1;
     let mut next = BTreeMap::new();
@@ -53,10 +68,13 @@ fn crossings(mask: u8) -> BTreeMap<Edge, Edge> {
 }
 
 impl Table {
+    /// Computed once an extraction, which is nothing beside the sweep.
     fn new() -> Self {
         Self((0..=255).map(Self::triangles).collect())
     }
 
+    /// Follows the segments to closed polygons and cuts each into a fan from its first edge. 0 and
+    /// 255 have none.
     fn triangles(mask: u8) -> Vec<[Edge; 3]> {
         let mut next = crossings(mask);
         let mut triangles = Vec::new();
@@ -80,6 +98,9 @@ impl Table {
 type Vertices = BTreeMap<(usize, u32), u32>;
 
 /// Adds the surface of `group` to `complex`, in voxel coordinates, with background before it.
+///
+/// A vertex is looked up by the voxel at the lower end of its edge and the axis of the edge; those
+/// of layers that are done are dropped, so the map stays as large as a layer.
 fn add_group(volume: &Padded, group: u8, table: &Table, complex: &mut Complex) {
     let strides = volume.strides();
     let mut vertices = Vertices::new();
@@ -121,6 +142,8 @@ fn add_group(volume: &Padded, group: u8, table: &Table, complex: &mut Complex) {
 }
 
 /// Surfaces of all groups of `volume`, each by itself, in voxel coordinates.
+///
+/// A sweep over the whole volume for each group that is there.
 #[must_use]
 pub fn extract(volume: &Padded) -> Complex {
     let table = Table::new();
