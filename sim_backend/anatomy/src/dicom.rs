@@ -3,6 +3,11 @@
 //! Files are put in order by where they are in the patient, not by name or number. A series that is
 //! mixed with another, lacks a slice or has two at one place is refused: meshes of it would be
 //! wrong and look right.
+//!
+//! Files are read twice: first the attributes that place the slice (`attributes`, by way of
+//! `elements`), then, in order, the pixels. So only one slice's bytes are held besides the volume.
+//! A value is `slope * stored + intercept` (PS3.3, C.11.1), in HU for CT; the lattice goes from
+//! DICOM's LPS to RAS in `arrange`, by the signs of x and y alone.
 
 mod arrange;
 mod attributes;

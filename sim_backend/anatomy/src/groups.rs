@@ -1,4 +1,10 @@
 //! Which labels of a segmentation make which tissue group, and what a group is like.
+//!
+//! Two kinds of files: `config/anatomy/groups.toml` says what the groups are, once, and a table
+//! says which labels of a segmenter go to which of them. Volumes keep group numbers, 0 for
+//! background and the index plus 1 otherwise, in a byte. Labels of `[left_out]` are background on
+//! purpose; a label in neither place is an error of whoever reads the volume
+//! ([`crate::nifti::read_labels`]), for a new structure must not vanish silently.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,6 +17,8 @@ use hal::config::{ConfigError, Source};
 const GROUPS_MAX: usize = 31;
 
 /// Tables of labels that are built in: name, path in the repository, text.
+///
+/// Their text is compiled in, so that a binary needs no folder beside it.
 const TABLES: [(&str, &str, &str); 3] = [
     (
         "vista3d",
@@ -49,7 +57,7 @@ pub enum Pattern {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Group {
-    /// Letters, digits and `-`, as prims and semantics have it.
+    /// Letters, digits and `-`, as semantics have it; OpenUSD's prims have `_` for `-`.
     pub name: String,
     /// Base colour, linear RGB in [0, 1].
     pub colour: [f64; 3],
@@ -65,11 +73,14 @@ pub struct Group {
     pub youngs_modulus_pa: f64,
     /// Poisson's ratio.
     pub poissons_ratio: f64,
-    /// Viscosity over stiffness, s.
+    /// Viscosity over stiffness, s: of a Kelvin-Voigt body, stress is
+    /// `E (strain + damping_s * strain rate)`.
     pub damping_s: f64,
     /// How far red light comes before it falls to 1/e, mm; 0 where none is to shine through.
     pub light_mm: f64,
     /// Of two groups that contend for a voxel, the one with the lower rank gets it.
+    ///
+    /// Different in each group: between equal ranks no voxel would move. The background ranks last.
     pub rank: u32,
 }
 
@@ -78,14 +89,16 @@ pub struct Group {
 pub struct Groups {
     /// The groups in their order in the assets.
     pub groups: Vec<Group>,
-    /// Where the table of labels is from.
+    /// Where the table of labels is from: the path of a file, or the one in the repository of a
+    /// table that is built in.
     pub table: String,
-    /// Group plus 1 of a label, 0 for the background.
+    /// The group plus 1 of each label of the table, 0 for the background and what is left out.
     labels: BTreeMap<u16, u8>,
-    /// The same for quick look-up.
+    /// The same for quick look-up: 65536 entries, one for each label there can be.
     quick: Vec<Option<u8>>,
 }
 
+/// `groups.toml` as it stands in the file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct GroupsFile {
@@ -96,11 +109,14 @@ struct GroupsFile {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TableFile {
+    /// Number to name of labels that become background; names are for people.
     #[serde(default)]
     left_out: BTreeMap<String, String>,
+    /// Group to its labels, number to name.
     groups: BTreeMap<String, BTreeMap<String, String>>,
 }
 
+/// The groups of `groups.toml`, with every value within the range that makes sense.
 fn paper_groups() -> Result<Vec<Group>, ConfigError> {
     let text = include_str!("../../../config/anatomy/groups.toml");
     let source = Source::embedded("config/anatomy/groups.toml", text);
@@ -164,6 +180,7 @@ impl Groups {
         TABLES.iter().map(|(name, ..)| *name)
     }
 
+    /// `place` is what error messages and reports call the table.
     fn parse(place: &str, source: &Source) -> Result<Self, ConfigError> {
         let groups = paper_groups()?;
         let file: TableFile = source.parse()?;
@@ -209,6 +226,8 @@ impl Groups {
 
     /// The group of `label`: 0 for the background, else its index plus 1; none if the table does
     /// not have it.
+    ///
+    /// O(1), since it is asked for every voxel. Labels that are left out give `Some(0)`.
     #[must_use]
     pub fn group_of(&self, label: u16) -> Option<u8> {
         self.quick[usize::from(label)]
@@ -227,6 +246,8 @@ impl Groups {
     }
 
     /// Ranks by group number, the background last.
+    ///
+    /// One entry more than groups. `clean::separate_touching` is given it.
     #[must_use]
     pub fn ranks(&self) -> Vec<u32> {
         let groups = self.groups.iter().map(|group| group.rank);

@@ -1,4 +1,10 @@
 //! Slices in order, and where they lie.
+//!
+//! The affine of the image plane (PS3.3, C.7.6.2.1.1): column `i`, row `j` and slice `k` lie at
+//! `position + i * along[0] * spacing[0] + j * along[1] * spacing[1] + k * step`, in LPS, mm.
+//! `step` is from the first to the last slice over their number less one, so rounding of single
+//! places averages out. Slice numbers and file names are not looked at, since many exporters
+//! renumber.
 
 use std::path::Path;
 
@@ -10,12 +16,18 @@ use crate::grid::Grid;
 use crate::nifti::{SIDE_MAX, VOXELS_MAX};
 use crate::number::real;
 
-/// How far directions and spacings of slices may differ, and how far a slice may be from its place
-/// in steps.
+/// How far directions, without a unit, and spacings, mm, of slices may differ, in all.
 const TOLERANCE: f64 = 1e-3;
+/// How far a gap between slices may be from the usual one, and a slice from its place, in steps.
 const STEP_TOLERANCE: f64 = 0.05;
 
 /// Puts `slices` in order, and says where they lie.
+///
+/// Sorts by the height along the normal of the first slice, so the third axis runs along
+/// `along[0] x along[1]` and the lattice is right-handed in LPS and in RAS.
+///
+/// # Errors No slice, slices of several series or of different shape, too few or too many, a gap,
+/// two at one place, one out of line, and voxels or places out of range; each names the files.
 pub(super) fn arrange(folder: &Path, slices: &mut [Slice]) -> Result<Grid, DicomError> {
     let wrong = |reason: String| DicomError::Series {
         folder: folder.display().to_string(),
@@ -93,6 +105,8 @@ fn mixture(first: &Slice, slices: &[Slice]) -> Option<String> {
 }
 
 /// Which of `slices`, in order, are not as far apart as the others, if any are not.
+///
+/// Compared with the median gap.
 fn unevenness(normal: &Vector3<f64>, slices: &[Slice]) -> Option<String> {
     let gap = |pair: &[Slice]| pair[1].height(normal) - pair[0].height(normal);
     let mut gaps: Vec<f64> = slices.windows(2).map(gap).collect();
@@ -124,6 +138,8 @@ fn out_of_line(slices: &[Slice]) -> Option<&Slice> {
 
 /// Where slices in order lie. A tilted gantry makes steps that are not at a right angle to the
 /// slices.
+///
+/// `steps` is sheared then; nothing is resampled.
 fn grid(slices: &[Slice]) -> Grid {
     // LPS to RAS.
     let ras = Vector3::new(-1.0, -1.0, 1.0);

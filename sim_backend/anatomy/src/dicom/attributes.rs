@@ -1,4 +1,7 @@
 //! What a file says of its slice, checked.
+//!
+//! Each attribute has one range that is allowed, or a default where the standard makes it optional.
+//! Messages have the keyword of PS3.6, such as `PixelSpacing`, the value and what is allowed.
 
 use std::path::{Path, PathBuf};
 
@@ -32,19 +35,28 @@ pub(super) const READ: [Tag; 15] = [
 /// What a file says of its slice.
 #[derive(Clone, Debug)]
 pub(super) struct Slice {
+    /// The file, read again for its pixels.
     pub(super) path: PathBuf,
+    /// `SeriesInstanceUID`; empty if the file has none.
     pub(super) series: String,
+    /// Pixels of a row.
     pub(super) columns: usize,
+    /// Pixels of a column.
     pub(super) rows: usize,
-    /// Between columns and between rows, mm.
+    /// Between columns and between rows, mm: `PixelSpacing` has them the other way round.
     pub(super) spacing: [f64; 2],
-    /// Directions along a row and along a column, in the patient, LPS.
+    /// Unit vectors along a row (the way columns count) and along a column (the way rows count), in
+    /// the patient, LPS.
     pub(super) along: [Vector3<f64>; 2],
-    /// Middle of the first pixel, LPS, mm.
+    /// Centre of the first pixel, LPS, mm: `ImagePositionPatient`.
     pub(super) position: Vector3<f64>,
+    /// `RescaleSlope`, 1 if it is missing.
     pub(super) slope: f64,
+    /// `RescaleIntercept`, 0 if it is missing.
     pub(super) intercept: f64,
+    /// 1 to 16, the low ones of 16; what is in the others is cut off.
     pub(super) bits_stored: u32,
+    /// Whether stored numbers are two's complement.
     pub(super) signed: bool,
 }
 
@@ -55,6 +67,7 @@ pub(super) struct Attributes<'a> {
 }
 
 impl Attributes<'_> {
+    /// The error that names this file.
     fn wrong(&self, reason: impl Into<String>) -> DicomError {
         DicomError::File {
             path: self.path.display().to_string(),
@@ -87,6 +100,7 @@ impl Attributes<'_> {
         }
     }
 
+    /// `N` finite numbers that must be there.
     fn numbers<const N: usize>(&self, tag: Tag, name: &str) -> Result<[f64; N], DicomError> {
         let missing = || self.wrong(format!("{name} is missing"));
         self.maybe(tag, name)?.ok_or_else(missing)

@@ -2,6 +2,10 @@
 //!
 //! Elements come one after the other and are passed over unread, without a call within a call. No
 //! length is believed before as many bytes are seen to be there, and brackets must fit together.
+//!
+//! A file is 128 bytes of anything, `DICM`, a group of meta information in explicit little-endian
+//! with its length first (PS3.10, 7.1), and then the data set in the transfer syntax that the meta
+//! information names.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek};
@@ -20,9 +24,11 @@ use dicom_transfer_syntax_registry::entries::{
 
 use super::{DicomError, unreadable};
 
-/// Most bytes of a slice's file, of its meta information, and of an attribute.
+/// Most bytes of a slice's file: 256 MiB.
 const FILE_MAX: u64 = 1 << 28;
+/// Most bytes of its meta information.
 const META_MAX: u32 = 1 << 16;
+/// Most bytes of an attribute.
 const ATTRIBUTE_MAX: u64 = 1 << 12;
 
 /// How deep sequences may be nested, items counted.
@@ -40,6 +46,7 @@ pub(super) enum Wanted<'a> {
 }
 
 impl Wanted<'_> {
+    /// Whether the element is wanted.
     fn has(&self, tag: Tag) -> bool {
         match self {
             Self::Attributes(tags) => tags.contains(&tag),
@@ -55,6 +62,7 @@ impl Wanted<'_> {
         }
     }
 
+    /// Most bytes of one wanted element.
     const fn bytes_max(&self) -> u64 {
         match self {
             Self::Attributes(_) => ATTRIBUTE_MAX,
@@ -119,6 +127,10 @@ pub(super) fn of<F: Read + Seek>(
 }
 
 /// The elements of `source`, of so many bytes, that are wanted and in no sequence.
+///
+/// Brackets are sequences and items; a stack of them tells whether an element is at the top.
+/// Reading ends at the first tag behind all that are wanted, so pixels are not even passed over
+/// when attributes are.
 fn elements<F: Read + Seek>(
     source: F,
     bytes: u64,

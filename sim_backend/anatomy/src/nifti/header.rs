@@ -1,4 +1,10 @@
 //! The 348 bytes at the beginning of a volume.
+//!
+//! Fields by their offsets in `nifti1.h`: `dim` 40, `datatype` 70, `bitpix` 72, `pixdim` 76,
+//! `vox_offset` 108, `scl_slope` 112, `scl_inter` 116, `xyzt_units` 123, `qform_code` 252,
+//! `sform_code` 254, `quatern_b` 256, `qoffset_x` 268, `srow_x` 280, `magic` 344. No field is
+//! believed: sides, voxel sizes, places and offsets have bounds, so that what is allocated after it
+//! is bounded too.
 
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
@@ -31,6 +37,8 @@ pub enum DataType {
 }
 
 /// Types with their codes in the standard and their bytes.
+///
+/// The order is the standard's. Types that are not here are refused.
 const TYPES: [(DataType, i16, usize); 8] = [
     (DataType::U8, 2, 1),
     (DataType::I16, 4, 2),
@@ -67,9 +75,10 @@ pub struct Header {
     pub data_type: DataType,
     /// Whether the file is big-endian.
     pub big_endian: bool,
-    /// The first voxel's offset, bytes.
+    /// The first voxel's offset from the beginning of the (unzipped) file, bytes; 348 to 2^24.
     pub offset: usize,
-    /// A voxel's value is `slope` times what is stored, plus `intercept`.
+    /// A voxel's value is `slope` times what is stored, plus `intercept`. A slope of 0 or NaN in
+    /// the file means that values are as stored: 1 and 0 here.
     pub slope: f64,
     /// See `slope`.
     pub intercept: f64,
@@ -77,17 +86,21 @@ pub struct Header {
 
 /// The bytes of a header with the file's name and byte order.
 struct Fields<'a> {
+    /// For messages only.
     path: &'a str,
     bytes: &'a [u8; HEADER_LEN],
+    /// Told by `sizeof_hdr`, which is 348 in one order only.
     big_endian: bool,
 }
 
 impl Fields<'_> {
+    /// The four bytes at an offset.
     fn four(&self, at: usize) -> [u8; 4] {
         let b = &self.bytes[at..at + 4];
         [b[0], b[1], b[2], b[3]]
     }
 
+    /// The 16-bit number with a sign at an offset.
     fn short(&self, at: usize) -> i16 {
         let b = [self.bytes[at], self.bytes[at + 1]];
         if self.big_endian {
@@ -97,6 +110,7 @@ impl Fields<'_> {
         }
     }
 
+    /// The single-precision number at an offset; may be NaN.
     fn float(&self, at: usize) -> f64 {
         let b = self.four(at);
         f64::from(if self.big_endian {
@@ -106,6 +120,7 @@ impl Fields<'_> {
         })
     }
 
+    /// The error that a field is not allowed.
     fn refuse(
         &self,
         field: &'static str,
@@ -121,6 +136,9 @@ impl Fields<'_> {
     }
 
     /// Voxels along the axes.
+    ///
+    /// `dim[0]` counts dimensions; those beyond the third must be 1 long or less, so series over
+    /// time are refused.
     fn dims(&self) -> Result<[usize; 3], NiftiError> {
         let rank = self.short(40);
         if !(3..=7).contains(&rank) {
@@ -147,6 +165,7 @@ impl Fields<'_> {
         Ok(dims)
     }
 
+    /// `bitpix` says the same again and must agree.
     fn data_type(&self) -> Result<DataType, NiftiError> {
         let code = self.short(70);
         let found = TYPES.iter().find(|(_, known, _)| *known == code);
@@ -161,6 +180,8 @@ impl Fields<'_> {
     }
 
     /// Millimetres of the unit of length.
+    ///
+    /// The low three bits of `xyzt_units`; 0 (unknown) is taken for mm, as most writers mean it.
     fn unit_mm(&self) -> Result<f64, NiftiError> {
         match self.bytes[123] & 7 {
             0 | 2 => Ok(1.0),
@@ -175,6 +196,10 @@ impl Fields<'_> {
     }
 
     /// Steps and origin by the sform, else by the qform.
+    ///
+    /// The sform is the affine itself. The qform is a unit quaternion `(a, b, c, d)` of which the
+    /// file has the last three, `a = sqrt(1 - b^2 - c^2 - d^2)`, times the diagonal of voxel sizes,
+    /// the third with the sign of `pixdim[0]`.
     fn place(&self) -> Result<(Matrix3<f64>, Vector3<f64>), NiftiError> {
         if self.short(254) > 0 {
             let row =
@@ -200,6 +225,8 @@ impl Fields<'_> {
         ))
     }
 
+    /// Steps are refused where they span less than a hundredth of the volume of a box with their
+    /// lengths. NaN fails the comparisons and is refused with them.
     fn grid(&self) -> Result<Grid, NiftiError> {
         let dims = self.dims()?;
         let unit = self.unit_mm()?;
@@ -230,6 +257,7 @@ impl Fields<'_> {
         Ok(grid)
     }
 
+    /// 352 is usual: the header and 4 bytes that say whether extensions follow. 348 is allowed too.
     fn offset(&self) -> Result<usize, NiftiError> {
         let offset = self.float(108);
         let allowed = "a whole number from 348 to 2^24";
@@ -239,6 +267,7 @@ impl Fields<'_> {
         Ok(crate::number::floor_to(offset, 1 << 24))
     }
 
+    /// See [`Header::slope`].
     fn scale(&self) -> Result<(f64, f64), NiftiError> {
         let (slope, intercept) = (self.float(112), self.float(116));
         if slope.abs() <= 0.0 || slope.is_nan() {
@@ -292,6 +321,9 @@ impl Header {
 
     /// The header of a volume on `grid`, little-endian, its voxels 352 bytes in. No side of `grid`
     /// may be longer than [`SIDE_MAX`].
+    ///
+    /// Both forms are written. A sheared lattice fits the sform alone: its qform is the rotation
+    /// nearest to the axes, which readers that prefer the sform never see.
     pub(super) fn bytes(grid: &Grid, data_type: DataType) -> [u8; HEADER_LEN] {
         let mut bytes = [0; HEADER_LEN];
         let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);

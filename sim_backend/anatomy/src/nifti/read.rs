@@ -1,4 +1,7 @@
 //! Volumes read a slice at a time.
+//!
+//! gzip is told by its first two bytes, not by the name. Voxels become `f64` whatever the file's
+//! type: exact for all integers of 32 bits, so that labels can be checked for being whole.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -15,6 +18,8 @@ use crate::number::label;
 
 /// A volume of groups: 0 for background, else the group's index in [`Groups::groups`] plus 1; the
 /// first axis runs fastest.
+///
+/// It is only made of whole volumes: `voxels.len() == grid.len()`.
 #[derive(Clone, Debug)]
 pub struct LabelVolume {
     /// Where its voxels lie.
@@ -23,6 +28,7 @@ pub struct LabelVolume {
     pub voxels: Vec<u8>,
 }
 
+/// A failure to read, with the file's name.
 fn file_error(path: &Path, source: io::Error) -> NiftiError {
     NiftiError::Unreadable {
         path: path.display().to_string(),
@@ -31,6 +37,9 @@ fn file_error(path: &Path, source: io::Error) -> NiftiError {
 }
 
 /// The bytes of `path`, out of gzip if it is that.
+///
+/// Several gzip members one after another are one stream, as bgzip writes them. Pipes and devices
+/// are refused, since they could block.
 fn open(path: &Path) -> Result<Box<dyn Read>, NiftiError> {
     let unreadable = |source| file_error(path, source);
     let found = std::fs::metadata(path).map_err(unreadable)?;
@@ -71,6 +80,9 @@ pub fn read_header(path: &Path) -> Result<Header, NiftiError> {
 }
 
 /// Values of `bytes`.
+///
+/// Values are `slope * stored + intercept`; the product is left out where it changes nothing.
+/// `values` is cleared and its room used again.
 fn decode(header: &Header, bytes: &[u8], values: &mut Vec<f64>) {
     values.clear();
     macro_rules! numbers {
@@ -148,6 +160,8 @@ pub fn read_slices(
 }
 
 /// Labels that `groups` does not have, with their voxels, as text.
+///
+/// The ten lowest by name, the others by number.
 fn unknown_text(unknown: &BTreeMap<u16, u64>) -> String {
     let mut names: Vec<String> = unknown
         .iter()
@@ -161,6 +175,9 @@ fn unknown_text(unknown: &BTreeMap<u16, u64>) -> String {
 }
 
 /// The labels of `path` as groups.
+///
+/// Memory is a byte a voxel and one slice. All unknown labels are gathered before the volume is
+/// refused, so that one run shows what a table lacks; a voxel that is no label ends it at once.
 ///
 /// # Errors
 /// [`NiftiError`]: besides what [`read_slices`] refuses, voxels that are no labels and labels that `groups` does not know.

@@ -1,4 +1,7 @@
 //! Volumes written a slice at a time.
+//!
+//! The header comes first and says how many slices there are, so a file that lacks some is refused
+//! as cut when it is read.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -19,15 +22,20 @@ enum Sink {
 
 /// A volume being written: a header, then slices across the third axis in order.
 pub struct Writer {
+    /// For messages.
     path: PathBuf,
     sink: Sink,
+    /// Slices that the header has promised and that have not come.
     slices_left: usize,
+    /// Bytes of each slice.
     slice_bytes: usize,
 }
 
 impl Writer {
     /// Begins `path` (gzip if it ends with `.gz`) with the header of a volume of `data_type` on
     /// `grid`.
+    ///
+    /// An existing file is replaced. gzip is at its fastest level.
     ///
     /// # Errors
     /// [`NiftiError::Unwritable`].
@@ -57,6 +65,7 @@ impl Writer {
         Ok(writer)
     }
 
+    /// Writes through gzip or straight.
     fn put(&mut self, bytes: &[u8]) -> Result<(), NiftiError> {
         let written = match &mut self.sink {
             Sink::Plain(file) => file.write_all(bytes),
@@ -88,6 +97,8 @@ impl Writer {
 
     /// Ends the file.
     ///
+    /// What gzip and the buffer hold is written only here.
+    ///
     /// # Errors
     /// [`NiftiError::Unwritable`].
     ///
@@ -106,6 +117,8 @@ impl Writer {
 
 /// Writes `voxels`, of which each stands for the label at its index, as a label volume of 8 bits,
 /// or of 16 if a label needs them.
+///
+/// `voxels` in the order of `grid`; one slice is converted at a time.
 ///
 /// # Errors
 /// [`NiftiError::Unwritable`].

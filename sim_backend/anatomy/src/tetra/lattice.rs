@@ -2,6 +2,10 @@
 //!
 //! Vertices are the corners and the middles of cubic cells. Two cells with a common face make four
 //! tetrahedra, each of their two middles and an edge of the face; twelve a cell, all of one shape.
+//!
+//! Each tetrahedron has two edges of the length of the side and four of `sqrt(3) / 2` of it, and a
+//! twelfth of a cell's volume. Places are counted in halves of a side while vertices are numbered,
+//! so that equal places are equal numbers, and middles of tetrahedra in quarters.
 
 use std::collections::BTreeMap;
 
@@ -17,6 +21,8 @@ use crate::number::{index, real};
 const STEPS: usize = 4;
 
 /// Corners of a face's edges, from the lowest corner of the face, along its two axes.
+///
+/// Each of the four, with the two middles, is a tetrahedron.
 const EDGES: [[[usize; 2]; 2]; 4] = [
     [[0, 0], [1, 0]],
     [[1, 0], [1, 1]],
@@ -26,11 +32,14 @@ const EDGES: [[[usize; 2]; 2]; 4] = [
 
 /// Vertices by their place in halves of a cell's side.
 struct Vertices {
+    /// The number of each place.
     known: BTreeMap<[usize; 3], u32>,
+    /// The places by number, in halves of a side from the lowest corner.
     places: Vec<[usize; 3]>,
 }
 
 impl Vertices {
+    /// The number of a place, a new one the first time.
     fn number(&mut self, place: [usize; 3]) -> u32 {
         *self.known.entry(place).or_insert_with(|| {
             self.places.push(place);
@@ -39,7 +48,8 @@ impl Vertices {
     }
 }
 
-/// Cells around the mesh with one to spare, and the lowest corner.
+/// How many cells there are along x, y and z around the mesh with one to spare, and the lowest
+/// corner, mm.
 fn cells(mesh: &GroupMesh, side: f64) -> ([usize; 3], Point3<f64>) {
     let first = mesh.positions.first().copied().unwrap_or_default();
     let bounds = mesh
@@ -53,6 +63,11 @@ fn cells(mesh: &GroupMesh, side: f64) -> ([usize; 3], Point3<f64>) {
 }
 
 /// The tetrahedra of a lattice with cells of `side` whose middles are in `mesh`.
+///
+/// Insides are found by rays on a grid four times as fine as the cells, all middles at once.
+///
+/// # Errors If cells or tetrahedra would be more than `TETRAHEDRA_MAX`; it is judged before
+/// anything is allocated.
 pub(super) fn inside(mesh: &GroupMesh, side: f64) -> Result<Tetrahedra, String> {
     let too_many = || format!("cells of {side:.2} mm are more than {TETRAHEDRA_MAX} tetrahedra");
     let (counts, low) = cells(mesh, side);
@@ -129,6 +144,8 @@ fn of_pair(cell: [usize; 3], axis: usize) -> [[[usize; 3]; 4]; 4] {
 }
 
 /// Faces that one tetrahedron has, outwards.
+///
+/// Sorts all faces by their vertices: the two of an inner face stand together. O(n log n).
 fn surface(corners: &[[u32; 4]]) -> Vec<[u32; 3]> {
     let mut faces: Vec<([u32; 3], [u32; 3])> = corners
         .iter()
