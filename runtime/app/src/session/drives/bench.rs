@@ -265,18 +265,17 @@ impl Bench {
         listener: &mut dyn Listener,
     ) {
         let Self { arms, injector, .. } = self;
-        let mut off = None;
+        let mut off = Vec::new();
         let mut outside = |what, network: &mut Network<Terminal>| match what {
             Outside::Slack(node, slack) => set_slack(arms, node, slack),
-            Outside::BusOff(node) => off = network.line_of(node),
+            Outside::BusOff(node) => off.extend(network.line_of(node)),
             Outside::ForeignMaster(node) => send_sync(arms, node, network),
         };
-        let begun = injector.turn(since_ns, network, &mut outside);
-        if let Some(line) = off {
-            listener.bus_off(line);
-        }
-        if let Some(place) = begun {
+        injector.turn(since_ns, network, &mut outside, &mut |place| {
             listener.injected(place);
+        });
+        for line in off {
+            listener.bus_off(line);
         }
     }
 

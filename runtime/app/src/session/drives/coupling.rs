@@ -11,9 +11,7 @@ use trocar_drives::node::{Demand, Feedback};
 use trocar_drives::{Network, Terminal};
 use trocar_world::plant::{AxisVector, DriveSetpoint, actuator_efforts};
 
-/// The share of the greatest torque that a drive may use; none without torque.
-///
-/// 6072h has it in per mille of the rated torque: 1 is the rated torque.
+/// The torque that a drive may use over its rated torque, 6072h in thousandths; 0 without torque.
 fn torque_share(demand: &Demand) -> f64 {
     if demand.torque {
         demand.torque_per_mille_max / 1000.0

@@ -177,22 +177,22 @@ impl Injector {
     }
 
     /// Begins and ends what is due so long after the drives were enabled; `outside` does what is
-    /// not the drives'. Gives the place of the fault that has just begun, if one has.
+    /// not the drives', and `begun` is told the place of each fault that begins.
     pub(super) fn turn(
         &mut self,
         since_ns: u64,
         network: &mut Network<Terminal>,
         outside: &mut dyn FnMut(Outside, &mut Network<Terminal>),
-    ) -> Option<usize> {
-        let mut begun = None;
+        begun: &mut dyn FnMut(usize),
+    ) {
         for place in 0..self.faults.len() {
             let (fault, stage) = &mut self.faults[place];
             let fault = fault.clone();
             match stage {
                 Stage::Waiting if since_ns >= fault.at_ns => {
                     *stage = Stage::Active;
-                    begun = Some(place);
                     self.begin(&fault, network, outside);
+                    begun(place);
                 }
                 Stage::Active if fault.is_over(since_ns) => {
                     *stage = Stage::Over;
@@ -201,7 +201,6 @@ impl Injector {
                 Stage::Waiting | Stage::Active | Stage::Over => {}
             }
         }
-        begun
     }
 
     /// What has an effect at once has it here; the rest is put among `meddling`.
