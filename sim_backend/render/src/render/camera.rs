@@ -179,8 +179,8 @@ impl Light {
 }
 
 /// Depth range of the shadow map, m; what is beyond gets light.
-const SHADOW_NEAR_M: f64 = 0.01;
-const SHADOW_FAR_M: f64 = 0.7;
+pub(super) const SHADOW_NEAR_M: f64 = 0.01;
+pub(super) const SHADOW_FAR_M: f64 = 0.7;
 
 /// The depth and w rows that every projection along +z shares.
 fn depth_rows(near_m: f64, far_m: f64) -> Matrix4<f64> {

@@ -37,19 +37,80 @@ fn beam_at(position: vec3f, normal: vec3f) -> Beam {
     return Beam(direction, frame.light_power / distance2 * spot, lit);
 }
 
-// Share of the light that is not in shadow: the mean of two taps, each of which blends four texels.
-fn unshadowed(position: vec3f, normal: vec3f, distance: f32) -> f32 {
-    let off_surface = position + 2.0 * frame.shadow_texel_tan * distance * normal;
-    let clip = frame.light_clip_from_camera * vec4f(off_surface, 1.0);
+// A point as the shadow map has it: where in it, how deep, and how far along the light's axis, m.
+struct Mapped {
+    at: vec2f,
+    depth: f32,
+    ahead_m: f32,
+    outside: bool,
+}
+
+fn mapped(position: vec3f) -> Mapped {
+    let clip = frame.light_clip_from_camera * vec4f(position, 1.0);
     let ndc = clip.xyz / clip.w;
-    let at = vec2f(0.5 + 0.5 * ndc.x, 0.5 - 0.5 * ndc.y);
-    let texel = frame.shadow_texel_tan / frame.shadow_window_tan * 0.5;
-    let wide = vec2f(0.9, 0.45) * texel;
-    let sum = textureSampleCompareLevel(shadow_map, shadow_sampler, at + wide, ndc.z)
-        + textureSampleCompareLevel(shadow_map, shadow_sampler, at - wide, ndc.z);
     // Beyond the map there is no beam either.
     let outside = max(abs(ndc.x), abs(ndc.y)) > 0.995 || clip.w <= 0.0;
-    return select(0.5 * sum, 1.0, outside);
+    return Mapped(vec2f(0.5 + 0.5 * ndc.x, 0.5 - 0.5 * ndc.y), ndc.z, clip.w, outside);
+}
+
+// Share of the light that is not in shadow: the mean of two taps, each of which blends four texels.
+fn unshadowed(position: vec3f, normal: vec3f, distance: f32) -> f32 {
+    let point = mapped(position + 2.0 * frame.shadow_texel_tan * distance * normal);
+    if FINE {
+        return soft_unshadowed(position, normal, distance, point);
+    }
+    let texel = frame.shadow_texel_tan / frame.shadow_window_tan * 0.5;
+    let wide = vec2f(0.9, 0.45) * texel;
+    let sum = textureSampleCompareLevel(shadow_map, shadow_sampler, point.at + wide, point.depth)
+        + textureSampleCompareLevel(shadow_map, shadow_sampler, point.at - wide, point.depth);
+    return select(0.5 * sum, 1.0, point.outside);
+}
+
+// Width of the light guide's end, and of the widest penumbra, m.
+const GUIDE_M = 0.004;
+const PENUMBRA_M = 0.003;
+const TAPS = 24;
+
+// A place of so many that fill the unit disc evenly (Vogel 1979).
+fn in_disc(index: i32) -> vec2f {
+    let turn = 2.39996323 * f32(index);
+    return sqrt((f32(index) + 0.5) / f32(TAPS)) * vec2f(cos(turn), sin(turn));
+}
+
+// The same of a light that has a size: the edge of a shadow is as wide as its caster is high
+// (percentage-closer soft shadows, Fernando 2005).
+fn soft_unshadowed(position: vec3f, normal: vec3f, distance: f32, point: Mapped) -> f32 {
+    if point.outside {
+        return 1.0;
+    }
+    // Of the map, what a metre across the axis takes at that distance.
+    let per_m = 0.5 / (frame.shadow_window_tan * point.ahead_m);
+    let search = 0.5 * PENUMBRA_M * per_m;
+    let side = vec2f(textureDimensions(shadow_map));
+    // What lies in the surface itself casts no shadow on it.
+    let lifted = mapped(position + 0.5 * PENUMBRA_M * normal);
+    var casters = 0.0;
+    var casters_m = 0.0;
+    for (var index = 0; index < TAPS; index++) {
+        let texel = vec2i((lifted.at + search * in_disc(index)) * side);
+        let depth = textureLoad(shadow_map, texel, 0);
+        if depth < lifted.depth {
+            casters += 1.0;
+            casters_m += SHADOW_NEAR_M * SHADOW_FAR_M / (SHADOW_FAR_M - depth * (SHADOW_FAR_M - SHADOW_NEAR_M));
+        }
+    }
+    let caster_m = casters_m / max(casters, 1.0);
+    let penumbra_m = GUIDE_M * max(point.ahead_m - caster_m, 0.0) / max(caster_m, SHADOW_NEAR_M);
+    // Of one texel and a half at least, or its steps are seen.
+    let texel_m = frame.shadow_texel_tan * point.ahead_m;
+    let radius_m = select(clamp(0.5 * penumbra_m, 1.5 * texel_m, 0.5 * PENUMBRA_M), 1.5 * texel_m, casters == 0.0);
+    let receiver = mapped(position + (2.0 * frame.shadow_texel_tan * distance + 0.5 * radius_m) * normal);
+    var sum = 0.0;
+    for (var index = 0; index < TAPS; index++) {
+        let at = receiver.at + radius_m * per_m * in_disc(index);
+        sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at, receiver.depth);
+    }
+    return sum / f32(TAPS);
 }
 
 // GGX with Smith's joint masking in the approximation of Hammon (2017), without Fresnel's factor.

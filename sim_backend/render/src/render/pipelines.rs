@@ -1,6 +1,7 @@
 //! The passes: shadow map from the light, then ids and range, then colour from the camera.
 
 use super::bake::{BACKDROP_SIZE_M, PATTERN_SIZE_M, Paints};
+use super::camera::{SHADOW_FAR_M, SHADOW_NEAR_M};
 use super::records::{self, Records};
 use super::scene::{BAKED_BYTES, Scene, UNROLLED_BYTES, VERTEX_BYTES};
 use super::targets::{FAR, colour_samples, depth_attachment};
@@ -277,6 +278,8 @@ fn colour_pipeline(
         ("FINE", f64::from(u8::from(shading == Shading::Fine))),
         ("PATTERN_SIZE_M", f64::from(PATTERN_SIZE_M)),
         ("BACKDROP_SIZE_M", f64::from(BACKDROP_SIZE_M)),
+        ("SHADOW_NEAR_M", SHADOW_NEAR_M),
+        ("SHADOW_FAR_M", SHADOW_FAR_M),
     ];
     let behind = vertex == BACKDROP;
     let compilation_options = wgpu::PipelineCompilationOptions {

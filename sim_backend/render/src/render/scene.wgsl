@@ -3,12 +3,15 @@
 
 // Shadows, surroundings and relief, or none of them.
 override FULL: bool = true;
-// Light that seeps under the surface of tissue and breaks in the film on it.
+// Shadows with penumbras, light that seeps under the surface of tissue and breaks in the film on it.
 override FINE: bool = false;
 // Side of the image that a pattern is painted in, m.
 override PATTERN_SIZE_M: f32 = 0.18;
 // The same of what is behind everything.
 override BACKDROP_SIZE_M: f32 = 0.36;
+// Depth range of the shadow map, m.
+override SHADOW_NEAR_M: f32 = 0.01;
+override SHADOW_FAR_M: f32 = 0.7;
 
 struct Frame {
     clip_from_camera: mat4x4f,

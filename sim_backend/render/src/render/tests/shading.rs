@@ -153,6 +153,44 @@ fn edges_are_smooth_in_colour_and_sharp_in_ids() {
     assert_eq!(elsewhere, 0);
 }
 
+/// Of the pixels of a plane below a ball at `height_m`, the share of its light that each gets, where
+/// it is neither all nor none.
+fn half_lit(shading: Shading, height_m: f64) -> usize {
+    let flesh = Material {
+        detail: 0.0,
+        pattern: Pattern::Smooth,
+        ..MUSCLE
+    };
+    let plane = Visual::new("plane", height_field(0.1, 0.1, 3, |_, _| 0.0), flesh, 1);
+    let ball = Visual::new("ball", sphere(0.004, 32), STEEL, 2);
+    let camera = Camera {
+        camera_in_scene: look_at(Point3::new(0.0, 0.0, 0.12), Point3::origin(), Vector3::y()),
+        ..endoscope(256)
+    };
+    let shot = |visuals: &[Visual], poses: &[Pose]| {
+        let opened = Renderer::with_backdrop(visuals, &Backdrop::CAVITY, shading);
+        shoot(&mut opened.unwrap(), poses, &camera)
+    };
+    let bare = shot(core::slice::from_ref(&plane), &[Pose::identity()]);
+    let shadowed = shot(&[plane, ball], &[Pose::identity(), at(0.0, 0.0, height_m)]);
+    let green = |frame: &CameraFrame, pixel: usize| f64::from(frame.colour[3 * pixel + 1]);
+    let shares = within(&shadowed, 1)
+        .into_iter()
+        .map(|pixel| green(&shadowed, pixel) / green(&bare, pixel));
+    let shares: Vec<f64> = shares.collect();
+    let least = shares.iter().copied().fold(1.0, f64::min);
+    let half = least + 0.1..0.95;
+    shares.iter().filter(|share| half.contains(share)).count()
+}
+
+#[test]
+fn the_edge_of_a_fine_shadow_is_as_wide_as_its_caster_is_high() {
+    let [low, high] = [0.006, 0.03].map(|height_m| half_lit(Shading::Fine, height_m));
+    assert!(high > 2 * low, "{low} {high}");
+    let [low, high] = [0.006, 0.03].map(|height_m| half_lit(Shading::Full, height_m));
+    assert!(high < 2 * low, "{low} {high}");
+}
+
 #[test]
 fn metal_mirrors_and_flesh_is_red() {
     let (visuals, poses) = lift_scene();
