@@ -1,5 +1,5 @@
-//! The SHA-256 of texts and files. Texts are configurations and scenes, files are executables, logs
-//! and weights: a run's provenance and a study's addresses are made of these.
+//! The SHA-256 of texts and files. Texts are configurations and scenes, files are executables and
+//! weights: a run's provenance and a study's addresses are made of these.
 
 use std::io::{self, Read};
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! Where the console listens, and under which names others reach it there.
+//! Where the console listens, and under which names others reach it there. An address is checked as
+//! it is typed; whether one can listen there shows in `doors`.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};

@@ -1,4 +1,5 @@
-//! What a page says that moves arms by hand, or marks the run. Only the page that steers may.
+//! What a page says that moves arms by hand, or marks the run. Only the page that steers may. What
+//! the hands then do is `session/teleop`'s. Scale, alignment, label and mark are checked there.
 
 use super::request::Request;
 use super::seats::Seat;

@@ -73,7 +73,8 @@ pub(super) fn can() -> Finding {
     }
 }
 
-/// Names of the CAN interfaces, sorted.
+/// Names of the CAN interfaces, sorted. By their hardware type, whatever they are called; up or
+/// down.
 fn can_interfaces(net: &Path) -> Vec<String> {
     let Ok(entries) = fs::read_dir(net) else {
         return Vec::new();

@@ -48,7 +48,7 @@ pub(super) fn kernel() -> Finding {
 }
 
 /// How many there are, whether any is isolated, and whether a control group cuts their time: a
-/// quota stops the control thread for the rest of the group's period once it is used up.
+/// quota stops threads of the ordinary class for the rest of the group's period once it is used up.
 pub(super) fn cores() -> Finding {
     let count = thread::available_parallelism().map_or(1, usize::from);
     let isolated = fs::read_to_string("/sys/devices/system/cpu/isolated").unwrap_or_default();

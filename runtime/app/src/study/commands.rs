@@ -1,4 +1,6 @@
-//! The command lines that make cells.
+//! The command lines that make cells. A job says what is made, this module with which options of
+//! which verb. The order of the options is fixed, so that a manifest's command line is the same
+//! each time.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -66,14 +68,17 @@ impl Arguments {
         self
     }
 
+    /// A name and its value, as two words.
     fn option(self, name: &str, value: impl ToString) -> Self {
         self.word(name).word(value.to_string())
     }
 
+    /// A path goes as it is, also if it is no UTF-8.
     fn path(self, name: &str, path: &Path) -> Self {
         self.word(name).word(path)
     }
 
+    /// Without a value the verb's own default holds.
     fn optional(self, name: &str, value: Option<impl ToString>) -> Self {
         match value {
             Some(value) => self.option(name, value),
@@ -124,6 +129,7 @@ pub fn command_line(
     }
 }
 
+/// Only the expert's recordings are made by a study.
 fn record(job: &RecordingJob, places: &Places, run: &RunSection, begin: Begin) -> Arguments {
     Arguments::default()
         .word("record")
@@ -146,6 +152,7 @@ fn resume(verb: Arguments, places: &Places) -> Arguments {
         .path("--json", &places.result)
 }
 
+/// One that is resumed has its options in its folder, and takes no others.
 fn train(job: &TrainingJob, places: &Places, begin: Begin) -> Arguments {
     let train = Arguments::default().word("train");
     if begin == Begin::Resumed {
@@ -182,6 +189,7 @@ fn with_policy(eval: Arguments, job: &EvaluationJob, places: &Places) -> Argumen
     }
 }
 
+/// Without `eval --keep` (`Abilities`) its trials have no logs and no strips in the report.
 fn eval(job: &EvaluationJob, places: &Places, run: &RunSection, abilities: Abilities) -> Arguments {
     let eval = Arguments::default().word("eval").task(&job.task);
     let arguments = with_policy(eval, job, places)

@@ -1,4 +1,5 @@
 //! What `nvidia-smi` reports of GPUs: their names, and how much memory each process has there.
+//! Without `nvidia-smi` the figures are missing, and nothing fails.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -30,7 +31,9 @@ pub fn names() -> BTreeMap<String, String> {
 /// Greatest memory of processes on GPUs, looked at now and then without waiting for the answer.
 #[derive(Debug, Default)]
 pub struct MemoryWatch {
+    /// The `nvidia-smi` that has been asked and has not answered.
     asked: Option<Child>,
+    /// When it is asked next, at the earliest.
     next: TimeNs,
     /// By process, bytes.
     peaks: BTreeMap<u32, u64>,
@@ -68,6 +71,7 @@ impl MemoryWatch {
         self.asked = None;
     }
 
+    /// It runs beside the study, whose thread never waits for it.
     fn ask(&mut self) {
         let asked = Command::new("nvidia-smi")
             .args([

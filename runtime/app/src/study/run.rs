@@ -1,5 +1,9 @@
 //! Runs a study: starts every cell whose inputs are done, as many at a time as the machine has room
 //! for.
+//!
+//! One thread polls everything. `start` begins what can be begun, nearest to a result first;
+//! `run/end` takes care of what has ended, `run/tell` says so. What other processes work on is
+//! looked at again later; a cell that fails makes those that need it skipped, and no others.
 
 mod begin;
 mod end;
@@ -48,7 +52,7 @@ pub struct Outcome {
     pub interrupted: bool,
 }
 
-/// How a cell of a run stands.
+/// How a cell of a run stands. `Done`, `Failed`, `Skipped` are final for this run.
 #[derive(Clone, Debug, PartialEq)]
 enum Status {
     Waiting,
@@ -71,11 +75,14 @@ impl Status {
     }
 }
 
+/// A cell that a child is making, with what it holds until the end: resources and locks.
 struct Work {
+    /// Its place in `Runner::cells`.
     cell: usize,
     running: Running,
     grant: Allocation,
     lock: File,
+    /// A shared lock on the recording that a training reads.
     input: Option<File>,
     begun: TimeNs,
     before: Attempts,
@@ -99,6 +106,7 @@ pub fn run(
     Ok(runner.outcome)
 }
 
+/// A part of a study while it is made. Cells are known by their places in `cells`.
 struct Runner<'a> {
     cells: Vec<&'a Cell>,
     /// Those of the whole study, other shards' too.
@@ -106,6 +114,8 @@ struct Runner<'a> {
     /// Places among them in the order in which they are begun if they can be: what is nearest to a
     /// result is first.
     order: Vec<usize>,
+    /// Where in `cells` an address is; inputs that are of another part are not there and count as
+    /// done.
     places: BTreeMap<&'a Address, usize>,
     status: Vec<Status>,
     workshop: &'a Workshop<'a>,
@@ -115,6 +125,7 @@ struct Runner<'a> {
     memory: MemoryWatch,
     running: Vec<Work>,
     durations: Durations,
+    /// Times of this run alone; durations of earlier attempts are in the store.
     clock: MonotonicClock,
     outcome: Outcome,
     say: &'a mut dyn FnMut(&str),
@@ -161,6 +172,7 @@ impl<'a> Runner<'a> {
         }
     }
 
+    /// Ends when nothing runs and nothing waits, or after an interrupt when nothing runs any more.
     fn run(&mut self) -> Result<(), StudyError> {
         loop {
             if rt::interrupted() && !self.outcome.interrupted {
@@ -213,12 +225,14 @@ impl<'a> Runner<'a> {
         Ok(())
     }
 
+    /// Says that a cell is not made, since `input` failed or was skipped.
     fn skip(&mut self, index: usize, input: &str) {
         self.status[index] = Status::Skipped;
         self.outcome.skipped += 1;
         self.tell(index, &format!("skipped: it needs {input}"));
     }
 
+    /// How the cells that this one needs stand; the first that is lost decides.
     fn inputs(&self, index: usize) -> Inputs {
         let mut inputs = Inputs::Done;
         for address in self.cells[index].job.inputs() {

@@ -233,6 +233,8 @@ fn phantom(args: &PhantomArgs) -> Done {
     Ok(true)
 }
 
+/// `trocar anatomy build`. A surface that is not closed is an error after everything has been
+/// written, so that it can be looked at.
 fn build(args: &BuildArgs) -> Done {
     let labels = ("the labels", Some(args.labels.as_path()));
     outputs::check(&[("--json", args.json.as_deref())], &[labels])?;
@@ -273,6 +275,7 @@ fn build_options(args: &BuildArgs) -> Options {
     }
 }
 
+/// A row a group: volume, triangles, and distances from the voxels, in voxels.
 fn tell(made: &anatomy::Built) {
     let report = &made.report;
     console::result("group         volume ml  triangles  Hausdorff  mean  Dice");

@@ -135,6 +135,8 @@ fn spacing_mm(text: &str) -> Result<f64, String> {
     within(text, 1.0, 12.0)
 }
 
+/// `trocar anatomy segment`. The table at the end has the volume of each tissue group and, with
+/// `--against`, its Dice coefficient.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -203,6 +205,7 @@ pub(crate) fn segment(args: &SegmentArgs) -> Done {
     Ok(true)
 }
 
+/// A row of that table; Dice is empty where it was not measured.
 fn line(group: &SegmentedGroup) -> String {
     let dice = group
         .dice
@@ -210,6 +213,8 @@ fn line(group: &SegmentedGroup) -> String {
     format!("{:<12} {:>10.1}  {dice}", group.name, group.volume_ml)
 }
 
+/// `trocar anatomy train-segmenter`: patients are made first, then the network is trained, then
+/// judged on patients of other seeds.
 pub(crate) fn train(args: &TrainSegmenterArgs) -> Done {
     let written = [
         ("--json", args.json.as_deref()),

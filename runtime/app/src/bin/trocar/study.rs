@@ -62,6 +62,12 @@ impl CommandLine for OwnParser {
     }
 }
 
+/// `trocar study`. Done if nothing failed and it was not interrupted; cells that were done before
+/// count as done.
+///
+/// # Errors
+/// A study's file that is wrong; a cell whose files are not what was written, named after all
+/// others have been made.
 pub(crate) fn study(args: &StudyArgs) -> Done {
     let executable = std::env::current_exe();
     let executable = executable.map_err(|error| {
@@ -111,6 +117,7 @@ pub(crate) fn study(args: &StudyArgs) -> Done {
     Ok(outcome.failed.is_empty() && !outcome.interrupted)
 }
 
+/// What cells share: `--jobs` cores and `--gpus`, or all that there are.
 fn machine(args: &StudyArgs) -> Machine {
     let all = std::thread::available_parallelism().map_or(1, usize::from);
     let gpus = match &args.gpus {
@@ -123,6 +130,7 @@ fn machine(args: &StudyArgs) -> Machine {
     }
 }
 
+/// `list` at its commas, without spaces and empty names.
 fn names(list: &str) -> Vec<String> {
     let names = list
         .split(',')
