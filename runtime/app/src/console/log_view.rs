@@ -31,7 +31,8 @@ use super::state::{State, refusal};
 use super::tap::{ControlTap, seconds};
 use super::viewers::Message;
 use crate::mailbox::mailbox;
-use crate::session::SessionError;
+use crate::session::teleop::{HandsNotice, LoggedHands};
+use crate::session::{PolicyChoice, SessionError};
 
 /// Events that are told.
 const EVENTS_MAX: usize = 2000;
@@ -78,7 +79,11 @@ impl LogView {
             } => seen.images.keep_view(camera, at, (*lens, *camera_in_scene)),
             LoggedItem::Scene { at, message } => seen.scenes.offer(at.tick(), message),
             LoggedItem::Buses { at, message } => seen.buses.offer(at.tick(), message),
-            LoggedItem::Event { at, text } => events.push((at, text.to_owned())),
+            LoggedItem::Event { at, text } => {
+                let notice = HandsNotice::read(text);
+                seen.hands.extend(notice.map(|notice| (at, notice)));
+                events.push((at, text.to_owned()));
+            }
             LoggedItem::Message { topic, at, data }
                 if views && live::camera_of(topic).is_none() =>
             {
@@ -221,6 +226,8 @@ struct Seen {
     /// Messages of the scene, and of the buses.
     scenes: States,
     buses: States,
+    /// What an operator's hands did.
+    hands: Vec<(TimeNs, HandsNotice)>,
 }
 
 /// The run as a controller computes it again: what the second pass has come to.
@@ -232,6 +239,7 @@ struct Recomputed {
     images: Images,
     scene: LogScene,
     buses: States,
+    hands: Option<LoggedHands>,
     /// The newest that the controller was given.
     chunks: Option<PerArm<Chunk>>,
     events: Vec<EventFacts>,
@@ -266,7 +274,9 @@ impl Recomputed {
             images,
             scenes,
             buses,
+            hands,
         } = seen;
+        let by_hand = header.policy == PolicyChoice::Teleop.name();
         let names = images.cameras();
         let at_first = (names.as_slice(), &images.lenses(TimeNs(0)));
         let (scene, problem) = LogScene::new(header, scenes, &config.arms, at_first);
@@ -284,6 +294,7 @@ impl Recomputed {
             images,
             scene,
             buses,
+            hands: LoggedHands::new(config.arms.len(), by_hand, hands),
             chunks: None,
             controller,
             tap: ControlTap::new(mailbox().0, mailbox().0, mailbox().0, RingBuffer::new(1).0),
@@ -366,6 +377,9 @@ impl Recomputed {
         let state = State::new(&sample, &self.facts, 0.0, task);
         let buses = self.buses.before(tick);
         let buses = buses.and_then(|message| BusesRecord::read(message.as_bytes()));
+        let jaws_rad = record.arms.iter().map(|arm| arm.command.jaw_position);
+        let hands = self.hands.as_ref();
+        let state = state.by_hand(hands.and_then(|hands| hands.at(record.now, jaws_rad)));
         let state = state.on_buses(buses.unwrap_or_default().buses);
         state.towards(paths.unwrap_or_default())
     }
@@ -447,15 +461,15 @@ fn config(header: &RunHeader) -> Result<ControlConfig, SessionError> {
 #[cfg(test)]
 mod tests {
     use serde_json::Value;
-    use trocar_log::{BusRecord, Pressure, Recorder, RunLog};
+    use trocar_log::{BusRecord, Level, Pressure, Recorder, RunLog};
     use trocar_tasks::simulation::{Rendering, Simulation};
 
     use super::*;
+    use crate::session::Plan;
     use crate::session::episode::{Episode, EpisodeObserver, Timing};
     use crate::session::latency::Latency;
     use crate::session::run::run_lockstep;
     use crate::session::scratch::Scratch;
-    use crate::session::{Plan, PolicyChoice};
 
     /// An episode of the expert in lockstep, with its log but without images, in `folder`.
     fn logged(folder: &Scratch) -> Plan {
@@ -562,15 +576,11 @@ mod tests {
         }
     }
 
-    /// Of such a log the instruments are seen where they were measured, over what does not move,
-    /// and the load of the buses if it says so.
-    #[test]
-    fn a_log_without_scenes_shows_the_arms() {
-        let folder = Scratch::folder("log-view-bare");
-        let plan = logged(&folder);
+    /// A log of that kind at `path`, of 400 ticks, that is not finished.
+    fn bare(folder: &Scratch, path: &Path) -> Bare {
+        let plan = logged(folder);
         let header = RunLog::open(plan.log.as_deref().unwrap()).unwrap().header;
-        let path = folder.0.join("bare.mcap");
-        let mut bare = Bare(Recorder::create(&path, &header, Pressure::Block).unwrap());
+        let mut bare = Bare(Recorder::create(path, &header, Pressure::Block).unwrap());
         let task = &plan.setup.task;
         let source = plan.setup.source(&plan.policy, plan.seed, plan.compute);
         let episode = Episode {
@@ -583,6 +593,60 @@ mod tests {
             tick_limit: 400,
         };
         episode.run(&timing, &mut bare).unwrap();
+        bare
+    }
+
+    /// Of a run in which an operator took over from its policy, the page has who drove and what the
+    /// hand did, as it was at each time.
+    #[test]
+    fn a_log_shows_the_operators_hands() {
+        let folder = Scratch::folder("log-view-hands");
+        let path = folder.0.join("hands.mcap");
+        let mut bare = bare(&folder, &path);
+        let released = "psm1: the operator's hand was released: the hand jumped";
+        for (tick, line) in [
+            (100, "the scale of the operator's hands is 0.5"),
+            (100, "psm1: the operator's hand engaged"),
+            (100, "the operator drives"),
+            (200, released),
+            (300, "the policy drives"),
+        ] {
+            let at = TimeNs::from_tick(tick);
+            bare.0.event(at, Level::Info, line);
+        }
+        bare.0.finish(None).unwrap();
+
+        let view = LogView::read(&path, false).unwrap();
+        let jumped = Some("the hand jumped");
+        for (seconds, driver, engaged, lost) in [
+            (0.05, "policy", false, None),
+            (0.15, "operator", true, None),
+            (0.25, "operator", false, jumped),
+            (0.35, "policy", false, jumped),
+        ] {
+            let state = state(&view, seconds);
+            let teleop = &state["teleop"];
+            assert_eq!(
+                (teleop["driver"].as_str(), teleop["scale"].as_f64()),
+                (Some(driver), Some(0.5))
+            );
+            let [arm] = &teleop["arms"].as_array().unwrap()[..] else {
+                panic!("{teleop}");
+            };
+            assert_eq!(
+                (arm["engaged"].as_bool(), arm["lost"].as_str()),
+                (Some(engaged), lost)
+            );
+        }
+    }
+
+    /// Of such a log the instruments are seen where they were measured, over what does not move,
+    /// and the load of the buses if it says so.
+    #[test]
+    fn a_log_without_scenes_shows_the_arms() {
+        let folder = Scratch::folder("log-view-bare");
+        let path = folder.0.join("bare.mcap");
+        let mut bare = bare(&folder, &path);
         for (tick, load, errors) in [(100, 0.25, 0), (300, 0.5, 3)] {
             let bus = BusRecord {
                 interface: "can0".to_owned(),
@@ -611,7 +675,7 @@ mod tests {
         }
         let at = state(&view, 0.3);
         assert!(at["arms"][0]["measured"].is_array() && met(&at).is_empty());
-        assert!(at["task"].is_null(), "{at}");
+        assert!(at["task"].is_null() && at["teleop"].is_null(), "{at}");
         let loads = [0.0, 0.11, 0.3, 0.31].map(|seconds| {
             let state = state(&view, seconds);
             let buses = state["buses"].as_array().cloned().unwrap_or_default();

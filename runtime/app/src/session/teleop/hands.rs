@@ -377,8 +377,8 @@ impl Hands {
         });
         (inner.arms > 0).then(|| TeleopStatus {
             desk: inner.desk,
-            scale: inner.scale(),
-            align_deg: inner.align_deg(),
+            scale: Some(inner.scale()),
+            align_deg: Some(inner.align_deg()),
             driver: inner.driver,
             arms: arms.collect(),
             recording: inner.recording,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use hal::{ArmObservation, Chunk, PerArm, Pose, TICK_S, TipTarget};
 use rtrb::Producer;
 
-use super::{CHUNK_TICKS, Driver, Hands, TIME_FACTOR, Teleop};
+use super::{CHUNK_TICKS, Driver, Hands, HandsNotice, TIME_FACTOR, Teleop};
 use crate::session::SessionError;
 
 /// Time between two answers of the hands, s.
@@ -89,10 +89,7 @@ impl Intervention {
             && self.to.push(TeleopCommand { driver, chunks }).is_ok();
         if changed && sent {
             self.said = driver;
-            self.notices.push(match driver {
-                Driver::Operator => "the operator drives".to_owned(),
-                Driver::Policy => "the policy drives".to_owned(),
-            });
+            self.notices.push(HandsNotice::Driver(driver).to_string());
         }
         let driven = self.teleop.asked().map(|(driver, _)| driver);
         self.begun = begun && (self.begun || (self.said == driver && driven == Some(driver)));

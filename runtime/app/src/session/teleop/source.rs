@@ -3,12 +3,13 @@
 
 use std::sync::Arc;
 
-use hal::{ARM_NAMES, ARMS_MAX, ArmObservation, Chunk, PerArm, Pose, TimeNs, TipTarget};
+use hal::{ARMS_MAX, ArmObservation, Chunk, PerArm, Pose, TimeNs, TipTarget};
 use nalgebra::{Translation3, UnitQuaternion};
 use trocar_control::kinematics::forward;
 
 use super::clutch::ReleaseCause;
 use super::hands::{Hands, Look, Moving};
+use super::logged::{HandNotice, HandsNotice};
 use super::{ArmCommanded, Commanded, Driver};
 use crate::session::SessionError;
 use crate::session::source::STEP_NS;
@@ -41,6 +42,8 @@ pub struct Teleop {
     sequence: u64,
     commanded: Option<Commanded>,
     measured: Measured,
+    /// The scale that the log has.
+    scale: Option<f64>,
     notices: Vec<String>,
 }
 
@@ -59,6 +62,8 @@ struct HandledArm {
     engaged: Option<Anchor>,
     /// Where it holds while no hand moves it.
     held: Option<(Pose, f64)>,
+    /// Why its hand can't engage, as the log has it.
+    lost: Option<ReleaseCause>,
 }
 
 /// What an engagement starts from.
@@ -83,6 +88,7 @@ impl Teleop {
             rcm_from_view: *view,
             engaged: None,
             held: None,
+            lost: None,
         });
         hands.begin(rcms_from_view.len(), waits);
         Self {
@@ -91,6 +97,7 @@ impl Teleop {
             sequence: 0,
             commanded: None,
             measured: Measured::default(),
+            scale: None,
             notices: Vec::new(),
         }
     }
@@ -155,6 +162,12 @@ impl Teleop {
             self.measured.arrived(&commanded, &self.hands);
             self.commanded = Some(commanded);
         }
+        let moves = look.moving.iter().any(Option::is_some);
+        if moves && self.scale != Some(look.scale) {
+            self.scale = Some(look.scale);
+            let notice = HandsNotice::Scale(look.scale);
+            self.notices.push(notice.to_string());
+        }
         let mut targets = Vec::with_capacity(ARMS_MAX);
         for (index, (arm, seen)) in self.arms.iter_mut().zip(seen.iter()).enumerate() {
             let commanded = self.commanded.as_ref().and_then(|all| all.arms.get(index));
@@ -166,16 +179,15 @@ impl Teleop {
             let moving = moving.filter(|_| commanded.follows);
             let lost = look.lost.get(index).copied().flatten();
             if let Some(event) = arm.event(moving.is_some(), lost) {
-                let name = ARM_NAMES.get(index).copied().unwrap_or_default();
-                self.notices.push(format!("{name}: {event}"));
+                let notice = HandsNotice::Hand(index, event);
+                self.notices.push(notice.to_string());
             }
             let (tip, jaw) = arm.target(moving, look.scale, &commanded);
-            let closed = (JAW_OPEN_RAD - commanded.jaw) / (JAW_OPEN_RAD - JAW_CLOSED_RAD);
             let tip_in_view = arm.rcm_from_view.inverse() * forward(&commanded.position);
-            self.hands.show(index, &tip_in_view, closed.clamp(0.0, 1.0));
+            self.hands.show(index, &tip_in_view, closed(commanded.jaw));
             targets.push(TipTarget::new(&tip, jaw));
         }
-        if look.moving.iter().any(Option::is_some) {
+        if moves {
             self.measured.sent(self.sequence, look, now);
         }
         let chunks = targets
@@ -222,14 +234,20 @@ impl Measured {
 }
 
 impl HandledArm {
-    /// What the log says of a change, if there is one.
-    fn event(&self, moves: bool, lost: Option<ReleaseCause>) -> Option<String> {
-        match (self.engaged.is_some(), moves, lost) {
-            (false, true, _) => Some("the operator's hand engaged".to_owned()),
-            (true, false, None) => Some("the operator released the clutch".to_owned()),
-            (true, false, Some(why)) => Some(format!("the operator's hand was released: {why}")),
-            (false, false, _) | (true, true, _) => None,
-        }
+    /// What the log says of a change, if there is one. While a policy drives, why its hand can't
+    /// engage is of no account.
+    fn event(&mut self, moves: bool, lost: Option<ReleaseCause>) -> Option<HandNotice> {
+        let other = self.held.is_some() && lost != self.lost;
+        let event = match (self.engaged.is_some(), moves, lost) {
+            (false, true, _) => HandNotice::Engaged,
+            (true, false, None) => HandNotice::LetGo,
+            (true, false, Some(why)) => HandNotice::Released(why.to_string()),
+            (false, false, Some(why)) if other => HandNotice::Blocked(why.to_string()),
+            (false, false, None) if other => HandNotice::Free,
+            (false, false, _) | (true, true, _) => return None,
+        };
+        self.lost = lost;
+        Some(event)
     }
 
     /// Where the tip should be, in the RCM frame, and the jaw's angle.
@@ -313,6 +331,12 @@ impl Anchor {
             self.jaw = asked;
         }
     }
+}
+
+/// How far a jaw of this angle is closed, 0 to 1 as the trigger says it.
+pub(super) fn closed(jaw_rad: f64) -> f64 {
+    let closed = (JAW_OPEN_RAD - jaw_rad) / (JAW_OPEN_RAD - JAW_CLOSED_RAD);
+    closed.clamp(0.0, 1.0)
 }
 
 fn jaw_rad(closed: f64) -> f64 {

@@ -11,9 +11,10 @@ use super::latency::FrameAgeMs;
 pub(crate) struct TeleopStatus {
     /// Whether the hands are devices at the run's own computer.
     pub(super) desk: bool,
-    pub(super) scale: f64,
-    /// Within which angle of its instrument a tracked controller engages, degrees.
-    pub(super) align_deg: f64,
+    /// What part of the hand's way the tip makes; none of a log that does not say.
+    pub(super) scale: Option<f64>,
+    /// Within which angle of its instrument a tracked controller engages, degrees; none of a log.
+    pub(super) align_deg: Option<f64>,
     /// Who drives, if there is a policy beside the hands.
     pub(super) driver: Option<Driver>,
     pub(super) arms: Vec<ArmStatus>,
@@ -34,7 +35,7 @@ pub(super) struct ArmStatus {
     /// degrees, if that keeps it from engaging.
     pub(super) misaligned_deg: Option<f64>,
     /// Where the tip is commanded to be, in the picture's axes from the lens, m, and as a unit
-    /// quaternion x, y, z, w.
+    /// quaternion x, y, z, w; none of a log.
     pub(super) tip: Option<[f64; 7]>,
     /// How far the jaw is closed, 0 to 1 as the trigger says it.
     pub(super) jaw: f64,
