@@ -30,6 +30,10 @@ unsafe extern "C" {
 }
 
 /// AdamW as one operation: what is the same at every step.
+///
+/// `theta -= lr * (m / (1 - beta_1^t) / (sqrt(v / (1 - beta_2^t)) + eps) + weight_decay * theta)`
+/// with the moving means `m` of the gradient and `v` of its square (Loshchilov and Hutter 2019,
+/// algorithm 2).
 #[derive(Clone, Copy, Debug)]
 pub struct AdamW {
     /// How much of the first moment stays.
@@ -86,7 +90,7 @@ impl AdamW {
 }
 
 /// Copies each of `from` to its one of `to`, as many, of the same shape and strides; their kinds
-/// may differ.
+/// may differ. A few kernels for all tensors on an accelerator. Nothing to do is no error.
 ///
 /// # Errors
 /// The network library's.
@@ -168,6 +172,7 @@ fn call(operator: &CStr, overload: &CStr, stack: &mut [Value]) -> Result<(), Tch
     checked(operator, code)
 }
 
+/// The library's code as an error; it gives no text.
 fn checked(what: &CStr, code: i32) -> Result<(), TchError> {
     if code == 0 {
         return Ok(());

@@ -20,6 +20,9 @@ pub enum Arithmetic {
 }
 
 /// Where and how a network computes.
+///
+/// Of a process rather than of a policy: threads are the network library's, so the policy that is
+/// loaded last decides for all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Compute {
     /// Where.

@@ -26,11 +26,13 @@ pub struct Dp3Policy {
     device: Device,
     interface: Interface,
     cloud: CloudRecipe,
+    /// On the network's device, as is `state`; `action` is on the CPU.
     points: LimitsNormaliser,
     state: LimitsNormaliser,
     action: LimitsNormaliser,
-    /// Oldest first.
+    /// Oldest first. No more than the history that the recipe spans; cleared by `reset`.
     seen: VecDeque<ObservationStep>,
+    /// Of the run, by `reset`; the noise depends on it and on the number of the answer.
     seed: u64,
 }
 
@@ -153,6 +155,8 @@ impl Dp3Policy {
         })
     }
 
+    /// Adds the newest observation. Remembered ones that are not older are dropped, so that a clock
+    /// that was set back starts anew.
     fn remember(&mut self, seen: ObservationStep) {
         self.seen.retain(|other| other.stamp < seen.stamp);
         self.seen.push_back(seen);

@@ -13,7 +13,9 @@ use std::collections::VecDeque;
 /// A coming step's rows so far.
 #[derive(Clone, Debug)]
 struct Blend {
+    /// Weighted sum of the rows.
     weighted: Vec<f64>,
+    /// Sum of their weights.
     weight: f64,
     rows: i32,
 }
@@ -37,6 +39,7 @@ pub struct TemporalEnsemble {
     decay: f64,
     rows: usize,
     width: usize,
+    /// The present step first; as many as a chunk has rows.
     coming: VecDeque<Blend>,
 }
 

@@ -6,6 +6,8 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+/// Held by whoever draws; a poisoned one is taken all the same, since there is no state to be
+/// damaged.
 static GENERATOR: Mutex<()> = Mutex::new(());
 
 /// Seeds the process's generator, which is the caller's while the answer lives.

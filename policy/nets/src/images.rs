@@ -45,6 +45,8 @@ pub const fn shrink_factor(
 
 /// `bytes` (3 a pixel, rows of `width` pixels) shrunk by `factor`: every block averaged and rounded
 /// to nearest.
+///
+/// Sums in `u32`, rounded half up: the same bytes in training and at run time, on every machine.
 #[must_use]
 pub fn area_average(bytes: &[u8], width: u32, factor: u32) -> Vec<u8> {
     if factor <= 1 {

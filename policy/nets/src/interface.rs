@@ -13,6 +13,7 @@ use trocar_data::relative_action::chunks_of;
 #[derive(Debug)]
 pub(crate) struct Interface {
     pub(crate) recipe: Recipe,
+    /// Answers since the last reset; a chunk carries it, from 1.
     pub(crate) sequence: u64,
 }
 

@@ -1,5 +1,10 @@
 //! Layers that networks share: linear, layer normalisation, attention, feed-forward. Batch first
 //! throughout.
+//!
+//! Here as training and reference inference use them, by the network library; the modules below are
+//! what folded networks compute with. `affine` picks the backend of a linear layer and `matrix`
+//! multiplies; `narrow` is for convolutions over few steps, `planes` for those of images; `kernel`
+//! holds sums in registers, `vectors` is what the processor can do.
 
 pub(crate) mod affine;
 mod aligned;
@@ -21,6 +26,7 @@ use crate::parameters::{Init, ParameterError, ParameterSource};
 /// A linear layer with bias.
 #[derive(Debug)]
 pub(crate) struct Linear {
+    /// `(outputs, inputs)`.
     pub(crate) weight: Tensor,
     pub(crate) bias: Tensor,
 }
@@ -50,6 +56,7 @@ impl Linear {
         })
     }
 
+    /// `x W^T + b` over the last dimension.
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor, TchError> {
         x.f_linear(&self.weight, Some(&self.bias))
     }
@@ -61,6 +68,9 @@ impl Linear {
 }
 
 /// Normalisation over the last dimension.
+///
+/// `(x - mean) / sqrt(variance + 1e-5) * weight + bias` (Ba et al. 2016), the variance that of the
+/// population.
 #[derive(Debug)]
 pub(crate) struct LayerNorm {
     weight: Tensor,
@@ -102,10 +112,15 @@ impl LayerNorm {
 }
 
 /// Attention with several heads and one packed projection of queries, keys and values.
+///
+/// `softmax(Q K^T / sqrt(width / heads)) V` for each head (Vaswani et al. 2017, eq. 1), with
+/// PyTorch's parameter names.
 #[derive(Debug)]
 pub(crate) struct Attention {
+    /// `(3 * width, width)`: of queries, keys, values.
     pub(crate) in_weight: Tensor,
     pub(crate) in_bias: Tensor,
+    /// `(width, width)`, from the joined heads.
     pub(crate) out_weight: Tensor,
     pub(crate) out_bias: Tensor,
     pub(crate) width: i64,
@@ -167,7 +182,8 @@ impl Attention {
     }
 }
 
-/// Two linear layers with ReLU between them.
+/// Two linear layers with ReLU between them. `W_2 relu(W_1 x + b_1) + b_2`, with dropout between
+/// them in training.
 #[derive(Debug)]
 pub(crate) struct FeedForward {
     pub(crate) widen: Linear,
@@ -195,7 +211,8 @@ impl FeedForward {
     }
 }
 
-/// Dropout with probability `p`; nothing at all if it is zero.
+/// Dropout with probability `p`; nothing at all if it is zero. Draws from the network library's
+/// generator.
 pub(crate) fn drop(x: Tensor, p: f64) -> Result<Tensor, TchError> {
     if p > 0.0 { x.f_dropout(p, true) } else { Ok(x) }
 }

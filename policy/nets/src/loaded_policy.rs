@@ -25,6 +25,9 @@ pub enum LoadedPolicy {
 }
 
 /// What is known of a policy before its weights are read.
+///
+/// What a real-time run needs in its own process; the network runs in a child, which loads the
+/// weights.
 #[derive(Clone, Debug)]
 pub struct PolicyOutline {
     /// Cameras, step, query period.

@@ -31,6 +31,9 @@ pub const ACTION_STD_MIN: [f64; 7] = {
 };
 
 /// Mean, deviation and range of one feature, a number each per dimension.
+///
+/// LeRobot's `MEAN_STD` uses mean and deviation; DP3's limits use the range. Files without a range
+/// leave it empty.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Statistics {
     /// Mean.
@@ -45,6 +48,9 @@ pub struct Statistics {
 
 impl Statistics {
     /// Statistics of `samples`, the deviations not below `std_min`. `None` without samples.
+    ///
+    /// Two passes in double precision. NaN in a sample makes the mean NaN, which [`Self::defect`]
+    /// names.
     #[must_use]
     #[expect(
         clippy::cast_possible_truncation,
@@ -128,7 +134,7 @@ impl Statistics {
         None
     }
 
-    /// A normaliser on the CPU.
+    /// A normaliser on the CPU. Takes statistics without a [`Self::defect`].
     #[must_use]
     pub fn normaliser(&self) -> Normaliser {
         #[expect(
@@ -153,8 +159,10 @@ pub(crate) const EPS: f64 = 1e-8;
 /// Takes a feature to mean 0 and deviation 1 over its last dimension, and back.
 #[derive(Debug)]
 pub struct Normaliser {
+    /// `(dimensions)`.
     mean: Tensor,
     std: Tensor,
+    /// `std + 1e-8`, added once.
     divisor: Tensor,
 }
 
@@ -178,9 +186,12 @@ impl Normaliser {
 }
 
 /// Takes colour bytes to what the backbone expects: 0 to 1, then ImageNet's mean and deviation.
+/// `(byte / 255 - mean) / std` as one multiplication and one addition.
 #[derive(Debug)]
 pub struct ImageNormaliser {
+    /// `1 / (255 std)`, `(3, 1, 1)`.
     scale: Tensor,
+    /// `-mean / std`, `(3, 1, 1)`.
     shift: Tensor,
 }
 

@@ -1,5 +1,10 @@
 //! Where the parameters of a network come from: drawn from a seed, or given by a checkpoint, by
 //! key.
+//!
+//! A network's constructor asks for each tensor by key, shape and initial distribution; so building
+//! from a seed, loading and checking a checkpoint are the same code, and a tensor that nobody asked
+//! for is found. Each key draws from a stream of its own, so the order of building changes no
+//! number.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -39,6 +44,7 @@ impl Init {
         Self::Normal((2.0 / count(fan_out)).sqrt())
     }
 
+    /// Numbers for the tensor `key`, row-major.
     #[expect(
         clippy::cast_possible_truncation,
         reason = "networks compute in single precision"
@@ -117,10 +123,13 @@ impl ParameterError {
 #[derive(Debug)]
 pub struct ParameterSource {
     origin: Origin,
+    /// By key; they share their memory with the network's.
     handed_out: BTreeMap<String, Tensor>,
+    /// Keys of those that training changes.
     trainable: BTreeSet<String>,
 }
 
+/// Drawn anew, or what a checkpoint holds.
 #[derive(Debug)]
 enum Origin {
     Seed { seed: u64, device: Device },

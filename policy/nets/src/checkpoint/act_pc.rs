@@ -1,4 +1,7 @@
 //! ACT-PC in a folder: as DP3, with its own network and without the variational encoder.
+//!
+//! Files: `config.json` (kind, network, cloud), `model.safetensors`, `statistics.safetensors` and
+//! `trocar.json`; LeRobot has no such policy.
 
 use std::path::Path;
 
@@ -23,6 +26,7 @@ use trocar_data::relative_action::RELATIVE_ACTION_DIM;
 /// What `config.json` says of the policy's kind.
 pub const ACT_PC_TYPE: &str = "act_pc";
 
+/// `config.json`; unknown keys are refused.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ActPcFile {
@@ -93,6 +97,7 @@ pub fn load_act_pc(folder: &Path, device: Device) -> Result<ActPcCheckpoint, Che
     })
 }
 
+/// Kind, network, cloud and recipe must make sense each and together, before any weight is read.
 fn check(config: &ActPcFile, recipe: &Recipe) -> Result<(), Cause> {
     if config.kind != ACT_PC_TYPE {
         return Err(Cause::Unsupported {

@@ -15,11 +15,13 @@ use crate::act::{BACKBONE_PREFIX, check_frozen_backbone};
 /// What torchvision's file has that a backbone has no use for: its classifier, and a count of each
 /// normalisation.
 const NOT_OF_THE_BACKBONE: [&str; 2] = ["fc.weight", "fc.bias"];
+/// What the key of a normalisation's count of batches ends with.
 const COUNT: &str = ".num_batches_tracked";
 
 /// A ResNet-18 with the statistics of its batch normalisations, trained elsewhere.
 #[derive(Debug)]
 pub struct BackboneWeights {
+    /// By the network's key, `model.backbone.` first; checked to be a whole backbone.
     tensors: BTreeMap<String, Tensor>,
 }
 
@@ -96,6 +98,7 @@ fn explained(error: CheckpointError, file: &Path) -> CheckpointError {
     error
 }
 
+/// All numbers finite, no variance below 0.
 fn check_values(key: &str, plain: &Plain) -> Result<(), Cause> {
     let defect = |what: &str| Err(Cause::Inconsistent(format!("tensor {key} {what}")));
     if !plain.values.iter().all(|value| value.is_finite()) {

@@ -16,6 +16,8 @@ use crate::normalise::Statistics;
 use crate::parameters::Parameters;
 use trocar_data::perception::{CloudRecipe, Point};
 
+/// Keys `observation.state.*`, `action.*` (mean, std, min, max) and `observation.points.min` and
+/// `.max`, all in single precision.
 pub(super) const STATISTICS: &str = "statistics.safetensors";
 
 /// Points that a cloud may have.
@@ -72,6 +74,7 @@ pub(super) fn read_weights(
     Ok(weights)
 }
 
+/// Writes [`STATISTICS`].
 pub(super) fn write_statistics(
     folder: &Path,
     statistics: &CloudStatistics,

@@ -1,4 +1,9 @@
 //! `config.json` as LeRobot writes it: the architecture and the features.
+//!
+//! A file that LeRobot wrote is read whether or not it has our recipe beside it; a file written
+//! here is read by LeRobot unless the backbone is one that it lacks. What it can express
+//! differently from this program (dilation, several observation steps, other activations, other
+//! normalisation) is refused by name.
 
 use std::collections::BTreeMap;
 
@@ -25,8 +30,10 @@ const STAGES_SUFFIX: &str = "_stages";
 /// Kind and shape of a feature.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Feature {
+    /// `VISUAL`, `STATE` or `ACTION`.
     #[serde(rename = "type")]
     kind: String,
+    /// `[3, height, width]` of images, else one number.
     shape: Vec<i64>,
 }
 
@@ -43,7 +50,8 @@ impl Feature {
     }
 }
 
-/// The fields that make the network. Others are LeRobot's business and pass unread.
+/// The fields that make the network. Others are LeRobot's business and pass unread. Types are those
+/// of LeRobot's dataclass.
 #[derive(Debug, Deserialize)]
 struct ConfigFile {
     #[serde(rename = "type")]
@@ -92,7 +100,7 @@ pub(super) fn normalisation() -> Value {
 }
 
 /// The text of `config.json`. Decoder layers whose output does not matter are left out: LeRobot
-/// would use the last.
+/// would use the last. Fields of training and of uploads have LeRobot's defaults.
 pub(super) fn write(config: &ActConfig) -> Value {
     let [inputs, outputs] = features(config);
     json!({
@@ -193,6 +201,8 @@ pub(super) fn read(
         .map_or(Ok(config), |defect| Err(Cause::Config(defect)))
 }
 
+/// Refuses what this program would compute differently; `n_action_steps` may be any part of the
+/// chunk, since the controller decides how much of it is played.
 fn check_supported(file: &ConfigFile) -> Result<(), Cause> {
     let dilated = !matches!(&file.replace_final_stride_with_dilation, Value::Bool(false))
         && file.replace_final_stride_with_dilation.as_i64() != Some(0);
@@ -316,6 +326,7 @@ fn image_features(file: &ConfigFile) -> Result<(i64, i64, Vec<String>), Cause> {
     ))
 }
 
+/// The only dimension of the feature `name`.
 fn width_of(features: &BTreeMap<String, Feature>, name: &str) -> Result<i64, Cause> {
     match features.get(name).map(|feature| feature.shape.as_slice()) {
         Some(&[width]) => Ok(width),

@@ -1,5 +1,8 @@
 //! DP3 in a folder: `config.json` with the network and how its clouds are made, weights, limits,
 //! and `trocar.json`.
+//!
+//! The statistics' least and greatest values become [`LimitsNormaliser`]s; means and deviations are
+//! kept as for the other policies and not used.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -24,6 +27,7 @@ use trocar_data::relative_action::RELATIVE_ACTION_DIM;
 /// What `config.json` says of the policy's kind.
 pub const DP3_TYPE: &str = "dp3";
 
+/// `config.json`; unknown keys are refused.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Dp3File {
@@ -116,6 +120,7 @@ pub(crate) fn history_steps(folder: &Path, recipe: &Recipe) -> Result<u64, Check
     Ok(recipe.policy_steps_before(length(observations)))
 }
 
+/// `config.json`, checked against the recipe.
 fn read_config(folder: &Path, recipe: &Recipe) -> Result<Dp3File, CheckpointError> {
     let file = folder.join(CONFIG);
     let text = read_json(&file)?;
@@ -125,6 +130,7 @@ fn read_config(folder: &Path, recipe: &Recipe) -> Result<Dp3File, CheckpointErro
     Ok(config)
 }
 
+/// A chunk's usable steps are `horizon - n_obs_steps + 1`, from the newest observation on.
 fn check(config: &Dp3File, recipe: &Recipe) -> Result<(), Cause> {
     if config.kind != DP3_TYPE {
         return Err(Cause::Unsupported {

@@ -2,6 +2,10 @@
 //!
 //! `config.json` is the architecture, `model.safetensors` the weights, `policy_preprocessor.json`
 //! and `policy_postprocessor.json` name the statistics. Nothing in the folder can run code.
+//!
+//! A checkpoint is refused at loading rather than wrong at run time: every tensor must be there and
+//! used, of its shape and finite; configuration, statistics and recipe must agree; and a policy
+//! runs once before it is handed out.
 
 mod act_pc;
 mod backbone;
@@ -47,9 +51,11 @@ use trocar_data::relative_action::{
     ABSOLUTE_REPRESENTATION, RELATIVE_ACTION_DIM, REPRESENTATION, action_dim,
 };
 
+/// Kind and architecture of the policy.
 const CONFIG: &str = "config.json";
 /// The file of the weights in a checkpoint's folder.
 pub const WEIGHTS: &str = "model.safetensors";
+/// What the actions mean, and provenance: the only file that is ours.
 pub(crate) const RECIPE: &str = "trocar.json";
 
 /// Whether the file called `name` in a checkpoint's folder is read when a policy is loaded.
@@ -175,6 +181,7 @@ fn check_joints(arms: usize, state_dim: i64, action_dim: i64) -> Result<(), Caus
     check_numbers(arms, state_dim, action_dim, RELATIVE_ACTION_DIM)
 }
 
+/// Widths of state and action against those of `arms` arms.
 fn check_numbers(
     arms: usize,
     state_dim: i64,

@@ -1,5 +1,9 @@
 //! LeRobot's processor files: the normaliser before the network, the un-normaliser after it, and
 //! their statistics.
+//!
+//! LeRobot keeps normalisation outside of the network, in pipelines of named steps; each step's
+//! tensors are in a safetensors file that the JSON names. Of a pipeline only the normaliser's step
+//! is done here; one that would rename features is refused.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,9 +17,13 @@ use crate::act::ActConfig;
 use crate::dimension::length;
 use crate::normalise::{EPS, IMAGENET_MEAN, IMAGENET_STD, Statistics};
 
+/// The pipeline before the network.
 const PREPROCESSOR: &str = "policy_preprocessor.json";
+/// The pipeline after it.
 const POSTPROCESSOR: &str = "policy_postprocessor.json";
+/// Statistics of inputs and actions, by the name that LeRobot's number of steps gives.
 const BEFORE: &str = "policy_preprocessor_step_3_normalizer_processor.safetensors";
+/// Statistics of actions alone.
 const AFTER: &str = "policy_postprocessor_step_0_unnormalizer_processor.safetensors";
 
 /// Statistics of what goes in and what comes out.
@@ -84,6 +92,7 @@ pub(super) fn write_json(file: &Path, value: &Value) -> Result<(), CheckpointErr
     replace(file, text.as_bytes())
 }
 
+/// Adds `FEATURE.mean`, `.std`, `.min` and `.max`; a part that is empty is left out.
 pub(super) fn insert(values: &mut BTreeMap<String, Plain>, feature: &str, statistics: &Statistics) {
     let parts = [
         ("mean", &statistics.mean),
@@ -120,6 +129,7 @@ pub(super) fn read(
     })
 }
 
+/// The statistics' file, and its tensors by key.
 type StateFile = (std::path::PathBuf, BTreeMap<String, Plain>);
 
 /// The statistics file of the step `registry_name` in the processor file `name`, which must do what
@@ -199,6 +209,8 @@ fn check_shapes(of_step: &Value, config: &ActConfig) -> Result<(), Cause> {
     Ok(())
 }
 
+/// Mean and deviation of `feature`, which must be there and usable for `dims` numbers; the limits
+/// may be missing.
 pub(super) fn statistics(
     values: &BTreeMap<String, Plain>,
     feature: &str,

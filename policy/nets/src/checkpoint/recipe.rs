@@ -172,7 +172,8 @@ pub struct Recipe {
     pub action_representation: String,
     /// Time between two steps of a chunk, ns.
     pub step_ns: u64,
-    /// Steps after which the policy should be asked again.
+    /// Steps after which the policy should be asked again. At least 1, and no more than a chunk
+    /// has.
     pub query_every_steps: u32,
     /// How the policy's overlapping chunks should be turned into one target, unless the user says
     /// otherwise.

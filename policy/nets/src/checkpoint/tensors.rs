@@ -1,5 +1,9 @@
 //! Safetensors files: tensors by key, stored in half or single precision, always single precision
 //! in memory.
+//!
+//! Layout of the format: eight bytes with the header's length, little-endian, the header in JSON
+//! (`dtype`, `shape`, `data_offsets` of each tensor, texts under `__metadata__`), then the numbers,
+//! row-major and little-endian. Reading runs no code.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -28,7 +32,9 @@ pub enum Precision {
 /// A tensor outside the network library: shape and values, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Plain {
+    /// Empty of a scalar.
     pub(super) shape: Vec<usize>,
+    /// As many as the shape's product; half precision and bfloat16 are widened, which is exact.
     pub(super) values: Vec<f32>,
 }
 
@@ -85,6 +91,7 @@ pub(crate) fn read_about(file: &Path, key: &str) -> Result<Option<String>, Check
     Ok(texts.and_then(|texts| texts.get(key)).cloned())
 }
 
+/// None for an element type that weights do not have.
 fn values_of(view: &TensorView<'_>) -> Option<Vec<f32>> {
     let (pairs, _) = view.data().as_chunks::<2>();
     let (quads, _) = view.data().as_chunks::<4>();
@@ -146,6 +153,7 @@ pub(crate) fn write_about(
     replace(file, &bytes)
 }
 
+/// Little-endian bytes; to half precision by rounding to nearest, beyond its range to infinity.
 fn encode(values: &[f32], precision: Precision) -> Vec<u8> {
     match precision {
         Precision::F32 => values

@@ -9,7 +9,9 @@ use super::functions::{Stream, is_current, one_at_a_time, synchronise};
 #[derive(Debug)]
 pub(super) struct SideStream {
     pub(super) device: i32,
+    /// What was current, and is again when this is dropped.
     before: Stream,
+    /// What is current meanwhile.
     stream: Stream,
 }
 
@@ -33,6 +35,7 @@ impl SideStream {
         }))
     }
 
+    /// False after an operation that a capture does not allow, which invalidates it.
     pub(super) fn is_capturing(&self) -> bool {
         self.stream.is_capturing()
     }

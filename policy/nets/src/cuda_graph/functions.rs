@@ -91,6 +91,7 @@ pub(super) fn is_current(device: i32) -> bool {
     trocar_cuda_device() == device
 }
 
+/// Waits for all work of the thread's current device. Only under [`one_at_a_time`].
 pub(super) fn synchronise() -> Result<(), TchError> {
     trocar_cuda_synchronise().checked()
 }
@@ -124,6 +125,7 @@ impl Stream {
         trocar_cuda_set_stream(device, self).checked()
     }
 
+    /// Whether a capture on it has begun and not ended.
     pub(super) fn is_capturing(self) -> bool {
         trocar_cuda_is_capturing(self)
     }

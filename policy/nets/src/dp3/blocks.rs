@@ -1,4 +1,7 @@
 //! The blocks of DP3's U-Net, over `(batch, channels, steps)`.
+//!
+//! Chi et al. 2023's conditional U-Net over time, as DP3 takes it over. Steps are few (16, 8, 4)
+//! and channels many, so that time goes into reading weights.
 
 use tch::{TchError, Tensor};
 
@@ -8,6 +11,7 @@ use crate::parameters::{Init, ParameterError, ParameterSource};
 /// A convolution over the steps with bias.
 #[derive(Debug)]
 pub(super) struct Convolution {
+    /// `(outputs, inputs, kernel)`.
     pub(super) weight: Tensor,
     pub(super) bias: Tensor,
     pub(super) stride: i64,
@@ -66,11 +70,13 @@ impl Convolution {
 /// The transposed convolution that doubles the steps.
 #[derive(Debug)]
 pub(super) struct Doubling {
+    /// `(inputs, outputs, 4)`: transposed convolutions have their inputs first.
     pub(super) weight: Tensor,
     pub(super) bias: Tensor,
 }
 
 impl Doubling {
+    /// With stride 2 and padding 1, twice the steps exactly.
     const KERNEL: i64 = 4;
 
     pub(super) fn new(
@@ -160,11 +166,13 @@ impl ConvolutionBlock {
 }
 
 /// Two convolution blocks around a scale and a shift that the condition gives each channel, and
-/// what went in added.
+/// what went in added. Feature-wise modulation (FiLM, Perez et al. 2018): `scale * x + shift`.
 #[derive(Debug)]
 pub(super) struct ResidualBlock {
     pub(super) blocks: [ConvolutionBlock; 2],
+    /// To the scales, then the shifts, of the channels.
     pub(super) condition: Linear,
+    /// Of one tap, where the number of channels changes.
     pub(super) residual: Option<Convolution>,
 }
 

@@ -19,11 +19,13 @@ pub enum Dp3Preset {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dp3Config {
-    /// Steps that are predicted at once; a multiple of what the lengths shrink by.
+    /// Steps that are predicted at once; a multiple of what the lengths shrink by. The first is due
+    /// when the oldest observation was taken.
     pub horizon: i64,
     /// Observations that the network sees, the newest last.
     pub n_obs_steps: i64,
-    /// Steps that are executed.
+    /// Steps that are executed. Published code's; here it decides what the validation error is
+    /// taken over.
     pub n_action_steps: i64,
     /// Features of the points, and as many of the state.
     pub encoder_output_dim: i64,

@@ -4,6 +4,12 @@
 //! The network predicts the clean sample. Published schedule: squared cosine, variances of a step
 //! capped at 0.999; steps of inference evenly apart and ending at 0; the noise is derived from the
 //! sample before it is cut to ±1, and nothing random is added.
+//!
+//! With `k_t` for the product that papers write as alpha bar. Forward:
+//! `x_t = sqrt(k_t) x_0 + sqrt(1 - k_t) e` (Ho et al. 2020, eq. 4), `k_t` by the cosine schedule of
+//! Nichol and Dhariwal 2021, `cos^2((t / T + s) / (1 + s) * pi / 2)` with `s = 0.008`. Backward:
+//! `e = (x_t - sqrt(k_t) x_0) / sqrt(1 - k_t)`, then `x_t' = sqrt(k_t') x_0 + sqrt(1 - k_t') e`
+//! (Song et al. 2021, eq. 12 with sigma 0).
 
 use core::f64::consts::FRAC_PI_2;
 
@@ -12,7 +18,9 @@ use tch::{Device, Kind, TchError, Tensor};
 /// Cumulative products of what each step leaves of the signal's power.
 #[derive(Debug)]
 pub struct Diffusion {
+    /// `k_t` for every training step, `(steps)`, single precision.
     kept: Tensor,
+    /// The steps of inference, the noisiest first.
     steps: Vec<InferenceStep>,
 }
 
@@ -28,6 +36,9 @@ struct InferenceStep {
 
 impl Diffusion {
     /// The published schedule of `train_steps`, walked in `inference_steps`.
+    ///
+    /// Inference takes the steps `0, a, 2 a, ...` with `a = train_steps / inference_steps` rounded
+    /// down, backwards.
     ///
     /// # Errors
     /// The network library's.

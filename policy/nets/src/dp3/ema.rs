@@ -1,4 +1,7 @@
 //! The moving average of a network's parameters, which is what DP3 evaluates.
+//!
+//! `average = d * average + (1 - d) * parameters`, `d = 1 - n^-0.75` after `n` updates and at most
+//! 0.9999.
 
 use std::collections::BTreeMap;
 
@@ -10,6 +13,7 @@ use crate::parameters::Parameters;
 #[derive(Debug)]
 pub struct MovingAverage {
     tensors: BTreeMap<String, Tensor>,
+    /// How many [`Self::update`] has made.
     updates: u64,
 }
 

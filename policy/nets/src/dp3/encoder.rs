@@ -1,5 +1,8 @@
 //! What DP3 makes of an observation: features of the points, whatever their order, and of the
 //! state.
+//!
+//! A point's features depend on it alone, and the maximum over points on no order (PointNet, Qi et
+//! al. 2017), here with layer normalisation. Points without colour: three numbers each.
 
 use tch::{TchError, Tensor};
 
@@ -10,10 +13,14 @@ use crate::parameters::{ParameterError, ParameterSource};
 /// Features of a point after each layer.
 const POINT_WIDTHS: [i64; 3] = [64, 128, 256];
 
+/// Two branches whose outputs are concatenated: points, then state.
 #[derive(Debug)]
 pub(super) struct Encoder {
+    /// Three layers, ReLU after each.
     points: Vec<(Linear, LayerNorm)>,
+    /// Of the maximum over the points.
     projection: (Linear, LayerNorm),
+    /// ReLU between them.
     state: [Linear; 2],
 }
 

@@ -1,4 +1,7 @@
 //! DP3's normaliser: every number's range in the dataset to -1 to 1.
+//!
+//! `scale = 2 / (max - min)`, `offset = -1 - scale * min`, so `min` becomes -1 and `max` 1.
+//! Diffusion clamps samples to that range, which is why it takes limits and not deviations.
 
 use tch::{TchError, Tensor};
 
@@ -10,7 +13,9 @@ const RANGE_MIN: f64 = 1e-4;
 /// A number that (almost) never changes is only shifted, its least value to zero.
 #[derive(Debug)]
 pub struct LimitsNormaliser {
+    /// `(dimensions)`; 1 for a constant.
     scale: Tensor,
+    /// `(dimensions)`.
     offset: Tensor,
 }
 

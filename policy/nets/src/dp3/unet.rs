@@ -1,5 +1,9 @@
 //! The U-Net that tells the clean actions from noisy ones, the diffusion's step and what was
 //! observed.
+//!
+//! Actions of a horizon are a signal over time with a channel for each number. Down: blocks, then
+//! half the steps; up: twice the steps, joined with what the same length was on the way down. The
+//! condition enters every block.
 
 use tch::{Device, Kind, TchError, Tensor};
 
@@ -22,9 +26,12 @@ pub(super) struct Up {
     pub(super) double: Doubling,
 }
 
+/// `(batch, steps, action)` at both ends.
 #[derive(Debug)]
 pub(super) struct UNet {
+    /// A row for each training step, `(steps, width)`, fixed.
     step_embedding: Tensor,
+    /// Mish between them.
     step_encoder: [Linear; 2],
     pub(super) down: Vec<Down>,
     pub(super) middle: Vec<ResidualBlock>,

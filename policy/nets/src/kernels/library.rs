@@ -88,7 +88,9 @@ fn checked(what: &str, code: c_int) -> Result<(), TchError> {
 /// recordings have them.
 #[derive(Debug)]
 pub(super) struct Library {
+    /// Each from the first library that has it.
     functions: Functions,
+    /// The compiled code, loaded in the device's context.
     module: *mut c_void,
 }
 
@@ -115,6 +117,7 @@ impl Library {
         Ok(Self { functions, module })
     }
 
+    /// The function `name` of the source, which must be `extern "C"` there.
     pub(super) fn kernel(&self, name: &CStr) -> Result<Kernel, TchError> {
         let mut kernel = ptr::null_mut();
         // SAFETY: the module is loaded, the name a C string, and the kernel a variable of ours.
@@ -188,6 +191,7 @@ impl Functions {
         code
     }
 
+    /// Machine code of the program, or the first line of the compiler's log.
     fn compiled(self, program: *mut c_void, option: &CStr) -> Result<Vec<c_char>, TchError> {
         let options = [option.as_ptr()];
         // SAFETY: the program was created; the option is a C string.

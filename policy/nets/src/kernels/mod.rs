@@ -24,6 +24,7 @@ use library::{Argument, Kernel, Library};
 const THREADS: i64 = 256;
 /// Most shares of an image's pixels, and blocks that keep a device busy.
 const SHARES_MAX: i64 = 64;
+/// Blocks that keep a device busy.
 const BLOCKS: i64 = 1024;
 
 /// What is done with a convolution's answer before the next one sees it.
@@ -40,6 +41,8 @@ pub(crate) enum Affine<'a> {
 pub(crate) struct SavedForBackward {
     /// What the convolution gave.
     convolved: Tensor,
+    /// Scale and shift in single precision: `(images, 2, channels)` of group normalisation,
+    /// `(2, channels)` of a fixed one.
     maps: Tensor,
     /// Mean and inverse deviation, of group normalisation.
     statistics: Option<Tensor>,
@@ -65,7 +68,8 @@ pub struct Kernels {
     pooled_backward: Kernel,
 }
 
-/// Sizes of images with their channels last.
+/// Sizes of images with their channels last. bfloat16; 64, 128, 256 or 512 channels, which a
+/// block's threads divide among them.
 #[derive(Clone, Copy, Debug)]
 struct Shape {
     images: i64,
@@ -434,6 +438,7 @@ impl Kernels {
         Err(TchError::Shape(format!("a scale {of_channels:?}")))
     }
 
+    /// Launches a kernel over the shares of all images.
     fn over<const N: usize>(
         &self,
         kernel: Kernel,
@@ -443,6 +448,7 @@ impl Kernels {
         self.launch(kernel, [shape.shares(), shape.images], arguments)
     }
 
+    /// Launches on the thread's current stream, and so into a capture that is under way.
     fn launch<const N: usize>(
         &self,
         kernel: Kernel,

@@ -78,6 +78,7 @@ impl Affine {
         }
     }
 
+    /// The trained `linear`, detached.
     pub(crate) fn of(linear: &Linear, backend: Backend) -> Result<Self, TchError> {
         Self::new(&linear.weight, &linear.bias, backend)
     }
@@ -92,6 +93,7 @@ impl Affine {
         self.apply(x, true)
     }
 
+    /// The product with its epilogue; on libtorch ReLU is a second pass.
     fn apply(&self, x: &Tensor, rectified: bool) -> Result<Tensor, TchError> {
         match self {
             Self::Native { matrix, bias } => {

@@ -1,4 +1,7 @@
 //! Numbers in memory as vector instructions like them.
+//!
+//! A `Vec` of `f32` is aligned to 4 bytes only; these begin at a multiple of 64 without any unsafe
+//! code, by leaving up to 15 numbers in front unused. Where they begin changes no result.
 
 use std::fmt;
 use std::ops::{Deref, DerefMut};
@@ -11,7 +14,9 @@ const LINE: usize = 64;
 pub(crate) struct Aligned {
     /// With some numbers more, since a line need not begin where an allocation does.
     memory: Vec<f32>,
+    /// Where the numbers begin in `memory`.
     first: usize,
+    /// How many there are.
     length: usize,
 }
 
@@ -36,7 +41,8 @@ impl Aligned {
         aligned
     }
 
-    /// At least `length` numbers, whatever they are.
+    /// At least `length` numbers, whatever they are. Reallocates only if there are fewer; the old
+    /// numbers are then lost.
     pub(crate) fn grow(&mut self, length: usize) {
         if self.len() < length {
             *self = Self::zeros(length);

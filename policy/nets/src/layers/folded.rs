@@ -10,10 +10,13 @@ use super::Attention;
 use super::affine::{Affine, Backend};
 
 /// Attention of tokens to each other.
+///
+/// One product gives queries, keys and values of all tokens where positions are fixed; else two.
 #[derive(Debug)]
 pub(crate) struct SelfAttention {
     input: Projections,
     output: Affine,
+    /// Divides the width.
     heads: i64,
 }
 
@@ -194,7 +197,8 @@ fn split_heads(x: &Tensor, batch: i64, heads: i64) -> Result<Tensor, TchError> {
         .f_transpose(1, 2)
 }
 
-/// Values by how much queries and keys agree, as `(rows, width)`.
+/// Values by how much queries and keys agree, as `(rows, width)`. All are
+/// `(batch, heads, tokens, width of a head)`.
 fn mix(q: &Tensor, k: &Tensor, v: &Tensor) -> Result<Tensor, TchError> {
     let none: Option<&Tensor> = None;
     let mixed = Tensor::f_scaled_dot_product_attention(q, k, v, none, 0.0, false, None, false)?;

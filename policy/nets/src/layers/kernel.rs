@@ -1,5 +1,9 @@
 //! The micro-kernel of convolutions and linear layers: some rows of inputs by a panel of packed
 //! weights.
+//!
+//! A sum stays in one register from its first product to its last. AVX-512 has 32 registers: 8 rows
+//! by 2 vectors of 16 numbers are 16 sums; AVX2 has 16: 2 rows by 4 vectors of 8 are 8 sums. Both
+//! are a panel of 32 outputs wide, so packed weights are the same.
 
 use pulp::Simd;
 use tch::{TchError, Tensor};
@@ -14,7 +18,8 @@ pub(super) const PANEL: usize = 32;
 pub(super) type Sums<S, const ROWS: usize, const VECTORS: usize> =
     [[<S as Simd>::f32s; VECTORS]; ROWS];
 
-/// Rows that are done at once at most.
+/// Rows that are done at once at most. Buffers hold whole groups of rows, whatever the processor
+/// does at once.
 pub(super) const GROUP: usize = 8;
 
 /// A kernel whose accumulators the processor's registers should hold.

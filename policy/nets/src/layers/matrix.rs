@@ -99,6 +99,9 @@ impl Matrix {
 }
 
 /// One product.
+///
+/// Loops, from outside: blocks of rows, parts of the inputs, panels of outputs, groups of rows; so
+/// a panel's weights are read from memory once for a block of rows.
 struct Gemm<'a> {
     matrix: &'a Matrix,
     x: &'a [f32],
@@ -151,10 +154,13 @@ impl Summing for Gemm<'_> {
 
 /// Where in a product some rows are.
 struct Place {
+    /// The first row of the group.
     row: usize,
     /// One behind the last row that counts.
     end: usize,
+    /// The first input of the part.
     input: usize,
+    /// The number of the panel.
     panel: usize,
 }
 

@@ -1,4 +1,7 @@
 //! The numbers of the network library's tensors, where they are.
+//!
+//! Reading a tensor by copy would cost as much as a small product. Callers hold a reference to the
+//! tensor while they read, and write only to tensors that were made here.
 
 #![expect(unsafe_code, reason = "the library has no safe way to them but a copy")]
 
@@ -36,6 +39,7 @@ pub(super) fn filled(shape: [usize; 2], fill: impl FnOnce(&mut [f32])) -> Result
     Ok(tensor)
 }
 
+/// On the CPU, single precision, dense and contiguous.
 fn check(tensor: &Tensor) -> Result<(), TchError> {
     let fits = tensor.device() == Device::Cpu
         && tensor.kind() == Kind::Float

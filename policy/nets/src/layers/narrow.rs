@@ -30,15 +30,18 @@ const PANEL: usize = 16;
 /// The most panels that are read at once.
 const TOGETHER: usize = 4;
 
-/// Bytes of weights for which a thread pays.
+/// Bytes of weights for which a thread pays. Starting one takes longer than reading fewer.
 const WORTH_A_THREAD: usize = 1 << 19;
 
 /// A matrix of weights, `(outputs, rows)`, and a bias for each output.
 #[derive(Debug)]
 pub(crate) struct Narrow {
     processor: Processor,
+    /// In panels, in the narrowest type that holds all of them exactly.
     weights: Weights,
+    /// `(outputs)`; its length says how many outputs count of the last panel.
     bias: Vec<f32>,
+    /// Inputs of the product: for a convolution inputs times taps.
     rows: usize,
 }
 
@@ -113,6 +116,8 @@ impl Narrow {
     }
 
     /// Shares of all panels, each on a thread of its own. `out` begins with the first output.
+    ///
+    /// The first share runs on the caller's thread, the others on threads that live for this call.
     fn shared<T: Stored>(
         &self,
         panels: &[T],

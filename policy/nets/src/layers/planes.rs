@@ -25,13 +25,15 @@ pub(crate) use direct::{Direct, Steps};
 pub(crate) use stem::Stem;
 pub(crate) use winograd::Winograd;
 
-/// Pictures of one size, channels last.
+/// Pictures of one size, channels last. `(batch, height, width, channels)`, row-major.
 #[derive(Debug, Default)]
 pub(crate) struct Plane {
+    /// May be longer than the size says, after another use.
     values: Aligned,
     size: Size,
 }
 
+/// Of a [`Plane`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Size {
     batch: usize,
@@ -50,8 +52,11 @@ impl Size {
 #[derive(Debug)]
 pub(crate) struct Workspace {
     processor: Processor,
+    /// Inputs of the convolution at work, transformed or padded.
     tiles: Aligned,
+    /// Products before the transform back, or rows of the stem.
     products: Aligned,
+    /// Planes that were given back; the last one is used first.
     spare: Vec<Plane>,
 }
 

@@ -1,4 +1,7 @@
 //! The vector instructions that products use, by processor.
+//!
+//! Two levels of x86-64: AVX-512 (V4), and AVX2 with FMA (V3). Which one a machine has is asked at
+//! run time; nothing is compiled for the machine at hand.
 
 use pulp::Simd;
 
@@ -39,6 +42,9 @@ pub(super) trait Vectors: Simd {
 }
 
 /// A kernel over a processor's SIMD vectors.
+///
+/// `run` is compiled once for each level; what it calls must be inlined into it, or the
+/// instructions are not used.
 pub(super) trait SimdKernel {
     fn run<V: Vectors>(self, simd: V);
 }

@@ -28,6 +28,7 @@ const fn real(count: usize) -> f64 {
     count as f64
 }
 
+/// Towards zero.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,

@@ -19,6 +19,7 @@ const KEY: &str = "trocar_segmenter";
 /// Most bytes of a segmenter's file.
 const SIZE_MAX: u64 = 1 << 30;
 
+/// The JSON text under [`KEY`] in the header's `__metadata__`.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct About {

@@ -60,6 +60,7 @@ pub enum SegmentError {
     Torch(#[from] TchError),
 }
 
+/// Both take `(1, 1, x, y, z)` and give `(1, classes, x, y, z)`.
 #[derive(Debug)]
 enum Network {
     Own(UNet),

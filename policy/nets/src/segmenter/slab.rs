@@ -12,6 +12,8 @@ use crate::dimension::{dimension, length};
 pub const BACKGROUND: u8 = 255;
 
 /// Sums over a strip of rows and as many slices as a window has.
+///
+/// It moves along z: a slice that no further window covers is taken out, and the others move up.
 pub(super) struct Slab {
     /// `(classes, z, y, x)`.
     scores: Tensor,
@@ -118,6 +120,8 @@ pub(super) struct Back<'a> {
     pub(super) implied_background: bool,
     /// Slice of the volume that is next.
     pub(super) next: usize,
+    /// Scores `(classes, rows, columns)` of the slice before, on the volume's lattice within its
+    /// plane.
     pub(super) last: Option<Tensor>,
     pub(super) classes: &'a mut [u8],
 }

@@ -111,6 +111,7 @@ impl Segmenter {
         Ok(all.f_narrow(1, z[0], z[1])?.f_narrow(3, x[0], x[1])?)
     }
 
+    /// x, y and z of `image` by the settings' spacing, window and overlap.
     fn axes(&self, image: &Image<'_>) -> [Axis; 3] {
         [0, 1, 2].map(|axis| {
             let spacing = [image.spacing_mm[axis], self.settings.spacing_mm[axis]];
@@ -130,6 +131,7 @@ impl Segmenter {
         y.starts.iter().copied().filter(touches)
     }
 
+    /// How many windows a strip takes.
     fn windows(&self, [x, y, z]: &[Axis; 3], strip: &Range<usize>) -> usize {
         let rows = Self::rows_for(y, strip);
         Self::beginnings(y, &rows).count() * x.starts.len() * z.starts.len()

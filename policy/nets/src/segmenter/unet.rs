@@ -1,5 +1,9 @@
 //! A small 3-D U-Net: half resolution inside, so that its widest volumes are an eighth of what it
 //! sees, with eight voxels a place at both ends.
+//!
+//! Ronneberger et al. 2015 in three dimensions, with residual blocks and group normalisation.
+//! Folding eight voxels into channels (and back at the end) is a reshape, so the full resolution is
+//! never convolved.
 
 use serde::{Deserialize, Serialize};
 use tch::{TchError, Tensor};
@@ -52,6 +56,7 @@ impl UNetConfig {
     }
 }
 
+/// Over three dimensions, with bias; padded so that stride 1 keeps the size.
 #[derive(Debug)]
 struct Convolution {
     weight: Tensor,
@@ -184,8 +189,11 @@ impl Up {
 #[derive(Debug)]
 pub struct UNet {
     config: UNetConfig,
+    /// The first keeps the resolution, each further one halves it.
     down: Vec<Level>,
+    /// The deepest first.
     up: Vec<Up>,
+    /// 1x1x1, to eight voxels' classes.
     out: Convolution,
     parameters: Parameters,
 }
@@ -262,6 +270,7 @@ impl UNet {
     }
 }
 
+/// The five dimensions of a volume with batch and channels.
 fn sides(x: &Tensor) -> Result<[i64; 5], TchError> {
     let wrong = || TchError::Shape("expected batch, channels, x, y, z".to_owned());
     x.size().try_into().map_err(|_| wrong())

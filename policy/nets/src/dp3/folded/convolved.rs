@@ -86,7 +86,7 @@ impl Convolved {
     }
 
     /// `x`, made of what [`Self::apply`] answered, after Mish, as the next convolution reads it
-    /// best.
+    /// best. Works in place.
     pub(super) fn activated(&self, mut x: Tensor) -> Result<Tensor, TchError> {
         match self {
             Self::Native(_) => x.f_mish_(),

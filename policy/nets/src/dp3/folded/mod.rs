@@ -31,6 +31,7 @@ pub struct FoldedDp3 {
     network: Network,
 }
 
+/// What is computed for an observation: encoder once, U-Net once a timestep.
 #[derive(Debug)]
 struct Network {
     encoder: Encoder,

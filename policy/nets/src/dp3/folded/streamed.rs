@@ -1,4 +1,7 @@
 //! Convolutions over so few steps that reading their weights bounds the time, on the CPU.
+//!
+//! Weights are read once for a block of up to 16 steps, so that a step more costs almost nothing;
+//! inputs become the columns of a matrix, a window of the convolution each.
 
 use tch::{TchError, Tensor};
 
@@ -23,6 +26,7 @@ pub(super) struct Streamed {
     steps: usize,
 }
 
+/// A product, the windows that make its columns, and where its outputs go.
 #[derive(Debug)]
 struct Part {
     weights: Narrow,
@@ -33,8 +37,10 @@ struct Part {
 /// Memory that convolutions work in, one after the other.
 #[derive(Debug, Default)]
 pub(super) struct Workspace {
+    /// The input's numbers, `(inputs, steps)`.
     x: Vec<f32>,
     columns: Columns,
+    /// The outputs' numbers, `(outputs, steps)`.
     out: Vec<f32>,
 }
 

@@ -233,6 +233,7 @@ impl FoldedConvolution {
     }
 }
 
+/// A level's residual blocks, one after the other.
 fn through(
     blocks: &mut [FoldedBlock],
     mut x: Tensor,

@@ -81,6 +81,7 @@ fn product<
     }
 }
 
+/// The sums of a panel for a block of columns, in registers.
 type Sums<V, const VECTORS: usize, const COLUMNS: usize> = [[V; COLUMNS]; VECTORS];
 
 /// `PANELS` panels, one after the other in `group`, by a block of columns.

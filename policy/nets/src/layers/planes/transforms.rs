@@ -3,6 +3,11 @@
 //!
 //! Whatever works on vectors is inlined into the function that may use the processor's; a closure
 //! might not be.
+//!
+//! `Y = A^T ((G g G^T) * (B^T d B)) A` for a kernel `g` and inputs `d`, products of equal places
+//! (Winograd 1980; Lavin and Gray 2016, eq. 8): `values` is `B^T` along one direction, `outputs`
+//! `A^T`, `kernel_to_tile` `G g G^T`. The divisors of the interpolation are in `G`, which is
+//! applied once, in double precision.
 
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 
