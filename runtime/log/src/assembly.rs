@@ -1,4 +1,10 @@
 //! Puts the messages of a log together into ticks, and the metadata into what is known of the run.
+//!
+//! Messages of one tick come in this order: chunks and what happened, the second arm's measurement,
+//! set-point and report with its tick message, the first arm's with timing and frames, and last the
+//! first arm's tick message, which completes the tick. A message that a tick must have once and has
+//! twice, or not at all, is an error: the bytes have changed, since a cut file ends between whole
+//! chunks of the file.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
@@ -38,10 +44,12 @@ pub(super) struct Facts {
     seen: BTreeSet<String>,
     outcome: Option<RunOutcome>,
     pub(super) counts: Option<LogCounts>,
+    /// Of the whole run; none of a file that another follows, whose hash is that of a moment.
     input_hash: Option<u64>,
     /// Whether the run goes on in another file.
     goes_on: bool,
     unknown_mark: Option<String>,
+    /// The closing record's hash over the contents is missing or is not that of what was read.
     altered: bool,
 }
 
@@ -66,6 +74,8 @@ pub(super) struct Assembly<F> {
     to: F,
     pub(super) facts: Facts,
     contents: ContentHash,
+    /// What the next tick's number is if nothing was dropped; at first the ticks that a bound has
+    /// left out.
     next_record: u64,
     /// Whether there was a tick.
     begun: bool,
@@ -78,6 +88,8 @@ pub(super) struct Assembly<F> {
 }
 
 /// An arm's messages of the tick that is not complete yet.
+///
+/// Filled by topic, emptied by the arm's tick message.
 #[derive(Default)]
 struct ArmParts {
     measured: Option<JointStates>,
@@ -185,6 +197,9 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
     }
 
     /// Ticks that the logger dropped after the last one of the file.
+    ///
+    /// From the state that ends the file, if there is one, else from the counts of the closing
+    /// record.
     fn dropped_at_end(&self) -> u64 {
         if let Some(snapshot) = &self.snapshot {
             return snapshot.record.saturating_sub(self.next_record);
@@ -276,6 +291,9 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
     }
 
     /// Ticks that were dropped before this one.
+    ///
+    /// The logger numbers every tick that it is handed, also those that it drops: a step of more
+    /// than 1 is a loss.
     fn gap(&mut self, message: &TickMessage) -> Result<u64, String> {
         let count = message
             .record
@@ -290,6 +308,9 @@ impl<F: FnMut(&RunHeader, Event<'_>) -> Result<(), String>> Assembly<F> {
     }
 
     /// The chunk that an arm was given, and whether it was and is lost.
+    ///
+    /// A chunk whose record is not the one that the tick names belongs to a tick that was dropped;
+    /// it is thrown away.
     fn take_chunk(
         &mut self,
         arm: usize,

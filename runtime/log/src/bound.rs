@@ -43,6 +43,7 @@ pub(super) enum Fill {
 
 /// The bound of a log.
 pub(super) struct Bound {
+    /// Half of the bound, less the index.
     file_bytes_max: u64,
     /// How large the file was when it was last checked, or had begun; unknown until the first
     /// check, before which frames of a long start count.

@@ -1,5 +1,8 @@
 //! Camera frames as the log keeps them: the colour image as PNG, the lens, and where the camera
 //! was.
+//!
+//! Depth is not kept. An image is written with the lens and the camera's pose of the same instant,
+//! so each frame stands by itself.
 
 use hal::{CameraFrame, Distortion, Intrinsics, Pose, TimeNs};
 use image::{ExtendedColorType, ImageEncoder, codecs::png};
@@ -16,6 +19,7 @@ pub(super) struct FrameItem {
     stamp: TimeNs,
     intrinsics: Intrinsics,
     camera_in_scene: Pose,
+    /// RGB, 8 bits a channel, row by row from the top: `3 * width * height` bytes.
     colour: Vec<u8>,
 }
 
@@ -110,6 +114,8 @@ impl FrameItem {
 }
 
 /// The model's name and its coefficients, as ROS has them; none of a pinhole.
+///
+/// `plumb_bob` has `k1, k2, p1, p2, k3` in this order; `k3` is 0 here.
 fn described(distortion: &Distortion) -> (String, Vec<f64>) {
     if distortion.is_none() {
         return Default::default();
@@ -119,6 +125,8 @@ fn described(distortion: &Distortion) -> (String, Vec<f64>) {
 }
 
 /// The lens that `message` says; none if it is not whole.
+///
+/// A lens with fewer than four coefficients counts as a pinhole.
 pub(super) fn intrinsics(message: &CameraCalibration) -> Option<Intrinsics> {
     let &[fx, _, cx, _, fy, cy, ..] = &message.K[..] else {
         return None;
@@ -139,6 +147,9 @@ pub(super) fn intrinsics(message: &CameraCalibration) -> Option<Intrinsics> {
 }
 
 /// The lens of the camera `name`.
+///
+/// `K` is `[fx 0 cx; 0 fy cy; 0 0 1]`, `R` the identity, `P` is `K` with a column of zeros; all row
+/// by row.
 pub(super) fn lens(at: TimeNs, name: &str, intrinsics: &Intrinsics) -> CameraCalibration {
     let Intrinsics {
         width,

@@ -1,5 +1,14 @@
 //! Walks through the bytes of an MCAP file, checks its checksums and stops cleanly where a file was
 //! cut.
+//!
+//! An MCAP file is a magic of eight bytes, then records: opcode (one byte), length (eight,
+//! little-endian), body. Ours has metadata and chunks of messages, which are compressed and have a
+//! CRC-32 each, then `DataEnd` with the CRC-32 of all before, the summary, the footer with the
+//! summary's CRC-32, and the magic again. The summary is checked and not used: the file is read
+//! from front to back.
+//!
+//! A file that ends early is cut, not damaged: the run may have crashed. A byte that differs is
+//! damage, and nothing after it is trusted.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -88,10 +97,14 @@ fn visit(
 }
 
 /// A file that is read record by record.
+///
+/// Holds one record at a time, whatever the file's size.
 struct Input<'a, R> {
     path: &'a Path,
     reader: R,
     /// Where the newest record begins.
+    ///
+    /// Byte offset in the file; errors name it.
     begin: u64,
     /// Where the next one does.
     end: u64,
@@ -104,6 +117,8 @@ struct Input<'a, R> {
 /// What comes next in a file.
 enum Found {
     /// A whole record, which is in [`Input::record`].
+    ///
+    /// The first byte of its head.
     Record { opcode: u8 },
     /// The end of the file where a record should be, and where that is.
     Cut(String),
@@ -168,6 +183,9 @@ impl<'a, R: Read> Input<'a, R> {
     }
 
     /// Reads the next record.
+    ///
+    /// A record that claims more than 64 MiB is skipped without storing it: it is a cut if the file
+    /// ends before, damage otherwise.
     fn advance(&mut self) -> Result<Found, LogError> {
         self.checksum.update(&self.record);
         self.record.clear();
@@ -199,10 +217,12 @@ impl<'a, R: Read> Input<'a, R> {
         self.record.get(RECORD_HEAD..).unwrap_or_default()
     }
 
+    /// The newest record with its head.
     fn whole(&self) -> &[u8] {
         &self.record
     }
 
+    /// For people: at which byte, and inside which record.
     fn cut(&self) -> Found {
         let place = if self.end == self.begin {
             "before the end of the data".to_owned()
@@ -304,6 +324,8 @@ fn message_or_channel(
 }
 
 /// Checks everything behind the data: summary, footer, closing magic. `Some(reason)` if it was cut.
+///
+/// Errors name the offset at which the data end.
 fn tail(input: &mut Input<'_, impl Read>) -> Result<Option<String>, LogError> {
     let data_end = input.end;
     input.restart();

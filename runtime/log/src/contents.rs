@@ -1,5 +1,10 @@
 //! One hash over everything that a log holds, in order: what was changed afterwards shows, unless
 //! whoever changed it computed this one again too.
+//!
+//! SHA-256 over the parts in file order. Of a message: topic, log time, publish time (eight bytes
+//! each, little-endian), data. Of a metadata record: name, then each key and value by key. Texts
+//! and data go in with their length in eight bytes before them. Channel numbers, sequence numbers
+//! and how the file is compressed do not enter, so a file that was repacked keeps its hash.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

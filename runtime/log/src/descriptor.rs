@@ -1,5 +1,8 @@
 //! What the protobuf messages look like, in the form that readers need: a `FileDescriptorSet` with
 //! all of them, made from how their structs are written ([`super::messages`]).
+//!
+//! Two files: `google/protobuf/timestamp.proto` and one with all of Foxglove's messages. Every
+//! protobuf schema in a file carries the whole set.
 
 use prost::Message;
 use prost_types::field_descriptor_proto::{Label, Type};
@@ -90,6 +93,9 @@ fn message(name: &str, fields: Fields) -> DescriptorProto {
 
 /// A field of this `kind`, as in `#[prost(kind)]`, whose struct's field is an `of`; and whether it
 /// is a value that may be absent.
+///
+/// `kind` is read as text: the first word is the scalar's type, `tag = "n"` the number, `repeated`
+/// and `optional` the label. `of` tells the message's name, out of an `Option` or a `Vec`.
 fn field(name: &str, kind: &str, of: &str) -> (FieldDescriptorProto, bool) {
     let mut words = kind.split(',').map(str::trim);
     let scalar = words.next().and_then(|word| word.split_whitespace().next());

@@ -1,4 +1,9 @@
 //! The writer thread: takes records from the queues and puts them into the file.
+//!
+//! One loop: all ticks with their chunks, all scenes, then one frame, event or state of the buses,
+//! and again; 2 ms of sleep when nothing has come. It is the only thread that writes the file;
+//! `sync` brings it to the disk from another. It allocates and blocks; nothing that it does reaches
+//! back to the control thread but a full queue.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -39,6 +44,8 @@ pub(super) struct Shared {
     /// Events, scenes and states of buses that found their queue full.
     pub(super) events_dropped: AtomicU64,
     /// Hash of all inputs that were handed over, dropped ones included.
+    ///
+    /// Stored by the control thread once a tick, read when a file is closed.
     pub(super) input_hash: AtomicU64,
 }
 
@@ -66,6 +73,7 @@ pub(super) struct Drain {
     /// The outcome, sent when the run ends.
     pub(super) outcome: Receiver<RunOutcome>,
     pub(super) shared: Arc<Shared>,
+    /// Of the whole run, not of one file; dropped ones are put in at the end.
     pub(super) counts: LogCounts,
     /// What was reported of each arm.
     pub(super) happened: StateChanges,
@@ -261,6 +269,8 @@ impl Drain {
     }
 
     /// Writes an event, a frame or the state of the buses.
+    ///
+    /// An image is compressed here, which is the longest thing that this thread does.
     fn write_side(&mut self, item: SideItem) {
         match item {
             SideItem::Event { at, level, text } => {
@@ -299,6 +309,9 @@ impl Drain {
     }
 
     /// Writes the outcome and closes the file.
+    ///
+    /// # Errors
+    /// The first failure of the run, or what the last write says.
     fn close(mut self) -> Result<LogCounts, LogError> {
         let outcome = self.outcome.try_recv().ok();
         if let Some(RunOutcome { reason, said, .. }) = &outcome {

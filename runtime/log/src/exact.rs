@@ -1,5 +1,8 @@
 //! Floating-point numbers in JSON that come back bit for bit, also the non-finite ones, which JSON
 //! lacks.
+//!
+//! The shortest decimal that reads back as the same double (17 digits at most) also keeps `-0.0`
+//! and subnormal numbers. Texts stand for what JSON has no number for; other texts are refused.
 
 use core::fmt;
 
@@ -37,6 +40,7 @@ impl<'de> Deserialize<'de> for Exact {
     }
 }
 
+/// Takes a JSON number or one of the texts.
 struct ExactVisitor;
 
 impl Visitor<'_> for ExactVisitor {
@@ -67,6 +71,8 @@ impl Visitor<'_> for ExactVisitor {
 }
 
 /// A target as position x, y, z, quaternion x, y, z, w, jaw.
+///
+/// m and rad, in the arm's RCM frame.
 pub(super) fn numbers(target: &TipTarget) -> [Exact; 8] {
     let ([x, y, z], [qx, qy, qz, qw]) = (target.position_m, target.rotation_xyzw);
     [x, y, z, qx, qy, qz, qw, target.jaw].map(Exact)

@@ -8,6 +8,9 @@ use super::level::Level;
 use super::record::TickRecord;
 
 /// Tells changes of each arm's state from its ticks.
+///
+/// Pure: the same ticks give the same events, in the log, at a live viewer and of a log that is
+/// read.
 #[derive(Debug)]
 pub struct StateChanges([Said; ARMS_MAX]);
 
@@ -52,6 +55,7 @@ impl StateChanges {
     }
 }
 
+/// As an operator would call it, in lower case.
 fn words(event: OperatorEvent) -> String {
     match event {
         OperatorEvent::Enable => "enable".to_owned(),

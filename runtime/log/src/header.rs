@@ -1,4 +1,10 @@
 //! What a log says about its run as a whole: how it was set up, and how it ended.
+//!
+//! Four metadata records of strings: `run` (task, policy, seed, lockstep, view, and what applies of
+//! needle, varied, `left_out`), `versions`, `configuration` (file name to text), and at the end
+//! `outcome` (counts, `input_hash`, `contents_sha256`, and of a run that was closed success,
+//! reason, `command_hash`, mark, label, teleop). Numbers are decimal, hashes hexadecimal with 16
+//! digits (FNV-1a) or 64 (SHA-256). Keys that are not known are passed over.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -57,6 +63,8 @@ pub struct RunOutcome {
     /// Why the run ended.
     pub reason: String,
     /// Hash over the bits of every command, as the run reported it.
+    ///
+    /// 16 hexadecimal digits of [`trocar_control::CommandHash`].
     pub command_hash: String,
     /// What a person said of it.
     pub said: RunNote,
@@ -277,6 +285,8 @@ pub(super) struct Closing {
     /// What was written and dropped.
     pub(super) counts: LogCounts,
     /// Hash over all inputs of the controller.
+    ///
+    /// [`trocar_control::InputHash`]; 16 hexadecimal digits in the record.
     pub(super) input_hash: u64,
     /// Hash over everything that the log holds, this record too but for the hash itself; none in a
     /// log of before there was one, which nothing vouches for.
@@ -304,6 +314,7 @@ const GOES_ON: &str = "goes_on";
 const MARK: &str = "mark";
 const LABEL: &str = "label";
 const TELEOP: &str = "teleop";
+/// Left out of the map while the hash over it is computed.
 const CONTENTS: &str = "contents_sha256";
 
 impl Closing {

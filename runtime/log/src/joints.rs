@@ -1,4 +1,7 @@
 //! Measurements and commands as joint messages, and back.
+//!
+//! Units are rad, rad/s, rad/s² and N m, of the insertion m, m/s, m/s² and N. Doubles travel as
+//! they are, NaN included, so that a measurement is read back to the bit.
 
 use hal::joints::JOINT_NAMES;
 use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, TimeNs};
@@ -6,6 +9,8 @@ use hal::{ArmCommand, ArmState, JOINT_COUNT, JointVector, TimeNs};
 use super::messages::{JointState, JointStates, Timestamp};
 
 /// Names of the jaw's joints: measured and commanded.
+///
+/// Both are in one message, told apart by these names: the jaw's stamp is the command's.
 const JAW: &str = "jaw";
 const JAW_SETPOINT: &str = "jaw_setpoint";
 
@@ -75,6 +80,8 @@ fn named(names: &[&str]) -> JointStates {
 }
 
 /// The measurement in a pair of messages; `None` if something is missing.
+///
+/// The stamp is that of `measured`: when the arm was measured, which may be before the tick.
 pub(super) fn state(measured: &JointStates, jaw: &JointStates) -> Option<ArmState> {
     let finger = jaw.joints.iter().find(|joint| joint.name == JAW)?;
     Some(ArmState {

@@ -1,4 +1,7 @@
 //! The log's own messages, in JSON.
+//!
+//! A chunk, host timing, and what the controller was given besides. Together with
+//! `/psm1/measured_js` and `/psm1/jaw` these are all inputs of a tick. The schemas are in `topic`.
 
 use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{ArmError, Chunk, TimeNs};
@@ -21,14 +24,18 @@ pub(super) fn encoded(message: &impl Serialize) -> Vec<u8> {
 pub(super) const TARGET_BYTES_MAX: usize = 8 * (EXACT_BYTES_MAX + 1) + 3;
 
 /// `/policy/chunk`.
+///
+/// Written before the tick that is given it.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct ChunkMessage {
+    /// Counts all chunks of the run from 0, those of both arms and dropped ones.
     pub(super) record: u64,
     sequence: u64,
     observed_at_ns: u64,
     step_ns: u64,
     len: u32,
     reserved: u32,
+    /// As `exact::numbers` has them.
     targets: Vec<[Exact; 8]>,
 }
 
@@ -92,7 +99,9 @@ impl TimingMessage {
 /// `/psm1/tick`, one for each arm.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct TickMessage {
+    /// Counts the ticks that were handed over from 0, dropped ones included.
     pub(super) record: u64,
+    /// The driver's own count, in which skipped periods are numbers that no tick has.
     pub(super) tick: u64,
     /// Time of the tick.
     pub(super) now_ns: u64,

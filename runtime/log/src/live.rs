@@ -1,5 +1,8 @@
 //! The log's topics for whoever looks on, while the run goes on or at its log: channels with their
 //! schemas, and messages one by one.
+//!
+//! The messages are made as those of the log; besides there are shapes, and images that a viewer
+//! may get as JPEG. Nothing here sends anything. Each function allocates its answer.
 
 use hal::{Intrinsics, Pose, TimeNs};
 use prost::Message;
@@ -128,6 +131,7 @@ fn channels(topics: &[Topic], arms: usize, cameras: &[String]) -> Vec<Channel> {
     channels
 }
 
+/// Shapes are no topic of the log: a log names the scene by its task.
 fn with_shapes(mut channels: Vec<Channel>) -> Vec<Channel> {
     let shapes = Schema::Protobuf("foxglove.SceneUpdate");
     channels.push(Channel::new(SHAPES, shapes));
@@ -184,6 +188,8 @@ fn joint_states<'a>(
 }
 
 /// What `tick` says of the safety of each arm, with its topic.
+///
+/// JSON; equal reports have equal bytes.
 pub fn safety(tick: &TickRecord) -> impl Iterator<Item = (&'static str, Vec<u8>)> {
     let arms = tick.arms.iter().zip(Topic::Safety.names());
     arms.map(|(arm, name)| {
@@ -194,6 +200,8 @@ pub fn safety(tick: &TickRecord) -> impl Iterator<Item = (&'static str, Vec<u8>)
 
 /// The messages of `tick`, each with its topic; the one before in this stream was at `previous`,
 /// and the arms' remote centres are at `rcms_in_scene`.
+///
+/// Unlike in the log, frames come with every tick.
 #[must_use]
 pub fn tick(
     tick: &TickRecord,
@@ -212,6 +220,9 @@ pub fn tick(
 }
 
 /// Adds measurement and set-point of each arm to `messages`.
+///
+/// Without a measurement these are set-point and jaw alone, and without a finite one there is no
+/// pose of the tip.
 fn add_arms(tick: &TickRecord, messages: &mut Vec<(&'static str, Vec<u8>)>) {
     let mut joints = JointMessages::new();
     for (index, arm) in tick.arms.iter().enumerate() {

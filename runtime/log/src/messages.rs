@@ -119,6 +119,8 @@ messages! {
     }
 
     /// Several of them.
+    ///
+    /// A log has them every 40 ticks and with each camera frame.
     #[derive(Clone, PartialEq, Message)]
     struct FrameTransforms {
         #[prost(message, repeated, tag = "1")]
@@ -126,6 +128,8 @@ messages! {
     }
 
     /// A shape as a file.
+    ///
+    /// Binary glTF here: the bytes in `data`, the type in `media_type`.
     #[derive(Clone, PartialEq, Message)]
     struct ModelPrimitive {
         #[prost(message, optional, tag = "1")]
@@ -176,6 +180,9 @@ messages! {
     }
 
     /// What is in a frame.
+    ///
+    /// A later one with the same `id` takes its place. With `frame_locked` it moves along with its
+    /// frame.
     #[derive(Clone, PartialEq, Message)]
     struct SceneEntity {
         #[prost(message, optional, tag = "1")]
@@ -200,6 +207,8 @@ messages! {
     }
 
     /// An image as a file's bytes.
+    ///
+    /// `format` is `png` in a log.
     #[derive(Clone, PartialEq, Message)]
     struct CompressedImage {
         #[prost(message, optional, tag = "1")]
@@ -255,6 +264,8 @@ messages! {
 }
 
 /// How bad a [`Log`] is.
+///
+/// `foxglove.Log.Level`, by its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, prost::Enumeration)]
 #[repr(i32)]
 pub(super) enum LogLevel {
@@ -266,6 +277,7 @@ pub(super) enum LogLevel {
     Fatal = 5,
 }
 
+/// Nanoseconds a second.
 const NANOS: u64 = 1_000_000_000;
 
 impl Timestamp {
@@ -288,6 +300,8 @@ impl Timestamp {
 
 impl Pose {
     /// The same as numbers to compute with; `None` if a part of it is missing.
+    ///
+    /// The quaternion is normalised.
     pub(super) fn pose(&self) -> Option<hal::Pose> {
         let (at, turn) = (self.position?, self.orientation?);
         let turn = nalgebra::Quaternion::new(turn.w, turn.x, turn.y, turn.z);

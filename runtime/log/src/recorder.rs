@@ -89,6 +89,9 @@ fn bounded(bound: Bound) -> (SnapshotFeed, Bounded) {
 }
 
 /// One end of a queue to the writer thread.
+///
+/// Wait-free on the producer's side under [`Pressure::Drop`]; the writer is woken only where a
+/// caller waits, since that takes a system call.
 struct Feed<T> {
     queue: Producer<T>,
     pressure: Pressure,
@@ -125,10 +128,13 @@ pub struct TickLog {
     ticks: Feed<TickItem>,
     chunks: Feed<ChunkItem>,
     shared: Arc<Shared>,
+    /// Number of the next tick's record.
     tick_count: u64,
+    /// Number of the next chunk's record, over both arms.
     chunk_count: u64,
     /// Each arm's chunk for the coming tick.
     pending_chunks: [Option<u64>; ARMS_MAX],
+    /// Over everything that was handed over, dropped or not: a replay of a log with a gap shows it.
     inputs: InputHash,
     /// Of a log with a bound.
     snapshots: Option<SnapshotFeed>,

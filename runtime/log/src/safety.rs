@@ -1,4 +1,7 @@
 //! The controller's report in JSON, for people and plots; a replay recomputes it and compares.
+//!
+//! Equal reports have equal bytes, since the fields have a fixed order and numbers one text each: a
+//! replay compares bytes, and looks for the field only where they differ.
 
 use hal::TipTarget;
 use serde::{Deserialize, Serialize};
@@ -52,10 +55,13 @@ pub(super) struct SafetyMessage {
     mode: &'static str,
     homed: bool,
     busy: bool,
+    /// The decision's debug form, such as `StepTooLong { index: 3 }`.
     gate: Option<String>,
+    /// `passed`, `solved` or `failed`.
     qp: &'static str,
     qp_iterations: u32,
     rows_active: u32,
+    /// In units of the velocity limits.
     correction: Exact,
     guard_intervened: bool,
     target: Option<[Exact; 8]>,
@@ -117,6 +123,10 @@ impl From<Fault> for FaultMessage {
 pub(super) type ReportDifference = (String, String, String);
 
 /// Compares the logged message of `tick` with `report`.
+///
+/// None if they are the same to the byte. The first field that differs is named `safety.` and its
+/// key; a tick without a report differs as a whole. Fields that only one of both has count as
+/// different.
 pub(super) fn difference(
     tick: u64,
     logged: Option<&[u8]>,

@@ -1,4 +1,8 @@
 //! The topics of the log and the schema of each.
+//!
+//! Field numbers of protobuf messages are in `messages`. JSON schemas are for people and viewers:
+//! nothing here checks a message against them. A channel is announced in the file before its first
+//! message.
 
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
@@ -207,6 +211,7 @@ pub(super) fn name_channels(channels: &[[u16; TOPIC_COUNT]], names: &mut BTreeMa
     }
 }
 
+/// Describes `json::ChunkMessage`, and changes with it.
 const CHUNK_SCHEMA: &str = r#"{"title": "trocar.Chunk", "type": "object",
 "description": "A policy's answer. Target k is due at observed_at_ns + k * step_ns. Non-finite numbers are the strings inf, -inf, nan:<bits>.",
 "properties": {
@@ -217,6 +222,7 @@ const CHUNK_SCHEMA: &str = r#"{"title": "trocar.Chunk", "type": "object",
     "items": {"type": ["number", "string"]},
     "description": "tip position x, y, z in the RCM frame, m; rotation quaternion x, y, z, w; jaw angle, rad"}}}}"#;
 
+/// Describes `safety::SafetyMessage`, and changes with it.
 const SAFETY_SCHEMA: &str = r#"{"title": "trocar.Safety", "type": "object",
 "properties": {"tick": {"type": "integer"},
   "mode": {"enum": ["DISABLED", "ENABLED", "PAUSED", "FAULT"]}, "homed": {"type": "boolean"}, "busy": {"type": "boolean"},
@@ -245,6 +251,7 @@ const TICK_SCHEMA: &str = r#"{"title": "trocar.Tick", "type": "object",
     "record": {"type": ["integer", "null"], "description": "record of the chunk message; null if it was lost"}}},
   "enabled": {"type": "boolean", "description": "whether the drives were commanded to hold torque"}}}"#;
 
+/// Describes `scene::SceneRecord`, and changes with it.
 const TASK_SCHEMA: &str = r#"{"title": "trocar.Task", "type": "object",
 "description": "Where everything in a simulated scene is at a policy step, and how its task stands. A pose has rotation (quaternion x, y, z, w) and translation (m), in the scene frame.",
 "properties": {
@@ -269,6 +276,7 @@ const BUSES_SCHEMA: &str = r#"{"title": "trocar.Buses", "type": "object",
   "load": {"type": "number", "description": "share of the last second for which frames kept the bus busy at most, at its bit rate"},
   "errors": {"type": "integer", "description": "errors and dropped frames since the interface is there"}}}}}}"#;
 
+/// Describes `snapshot::SnapshotMessage`, and changes with it.
 const SNAPSHOT_SCHEMA: &str = r#"{"title": "trocar.Snapshot", "type": "object",
 "description": "The controller's complete state between two ticks, from which a replay goes on: first in a file whose log's bound left out what came before, last in the file before it. Hexadecimal numbers have 16 digits.",
 "properties": {

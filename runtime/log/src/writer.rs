@@ -1,4 +1,9 @@
 //! Writes records into an MCAP file; runs on the writer thread.
+//!
+//! Log time and publish time of a message are the same: that of its tick, frame or event, ns since
+//! the run began. Sequence numbers count by channel from 0. The file's chunks are closed every 250
+//! ms of log time or at 1 MiB, compressed, and written in one piece, so that a crash leaves whole
+//! chunks and loses less than that time.
 
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
@@ -66,16 +71,22 @@ pub(super) struct LogWriter<W: Write + Seek> {
     writer: Writer<W>,
     /// Each arm's channels; another arm than the first has them from its first message on.
     channels: Vec<[u16; TOPIC_COUNT]>,
+    /// By name; added with each camera's first frame.
     cameras: BTreeMap<String, camera::Channels>,
+    /// The next sequence number of each channel.
     sequences: BTreeMap<u16, u32>,
     /// The name of each channel.
     names: BTreeMap<u16, String>,
+    /// Over all that was written up to now.
     contents: ContentHash,
     joints: JointMessages,
     /// Where the arms' remote centres are, if the run's limits say so.
     rcms_in_scene: Vec<Pose>,
+    /// The message that is written, encoded; reused.
     buffer: Vec<u8>,
+    /// Of the tick before, for the period in `/timing`; 0 before the first.
     previous_now: TimeNs,
+    /// Of the tick up to which the file is whole.
     flushed_at: TimeNs,
 }
 
@@ -256,6 +267,7 @@ impl<W: Write + Seek> LogWriter<W> {
         Ok(new)
     }
 
+    /// For channels that are not a [`Topic`]'s: those of cameras.
     fn put_message(&mut self, channel: u16, at: TimeNs, message: &impl Message) -> McapResult<()> {
         self.buffer.clear();
         message
@@ -265,6 +277,8 @@ impl<W: Write + Seek> LogWriter<W> {
     }
 
     /// Writes the outcome and closes the file.
+    ///
+    /// The hash over the contents covers the closing record too, but for itself.
     pub(super) fn finish(mut self, closing: Closing) -> McapResult<()> {
         let contents = header::contents_after(&self.contents, &closing.to_metadata());
         let metadata = Closing {
@@ -281,6 +295,8 @@ impl<W: Write + Seek> LogWriter<W> {
         Ok(())
     }
 
+    /// Encodes with what `encode` is given, the arm's joint messages, and writes to the arm's
+    /// channel of `topic`.
     fn protobuf(
         &mut self,
         topic: Topic,
@@ -294,6 +310,7 @@ impl<W: Write + Seek> LogWriter<W> {
         self.put(channel, now)
     }
 
+    /// As `protobuf`, in JSON.
     fn json(
         &mut self,
         topic: Topic,

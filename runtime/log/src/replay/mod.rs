@@ -1,5 +1,12 @@
 //! Recomputes every command of a logged run from its recorded inputs and compares bit for bit; and
 //! its arms, to be read again by another controller.
+//!
+//! Compared are, tick by tick and in this order: the controller's state where the log holds it,
+//! every number of every command (stamp, enabled, positions, velocities, accelerations, jaw) by its
+//! bits, and every byte of every safety report. At the end: the state that ends the file, the hash
+//! over the inputs, the hash over the commands that the run reported, and the hash over the log's
+//! contents. Host timing, frames and events are compared by the last one alone. The first
+//! difference ends the replay, since all that follows may come of it.
 
 mod arm;
 mod kept;
@@ -217,6 +224,9 @@ struct Replay {
 }
 
 impl Replay {
+    /// # Errors
+    /// [`ReplayError::NoConfiguration`], [`ReplayError::Configuration`] and
+    /// [`ReplayError::Controller`].
     fn new(header: &RunHeader) -> Result<Self, ReplayError> {
         let control = text(header, "control.toml")?;
         let config = ControlConfig::load(&control, &text(header, "safety.toml")?)?;
@@ -253,6 +263,8 @@ impl Replay {
         Ok(())
     }
 
+    /// # Errors
+    /// [`ReplayError::Empty`] without a tick.
     fn finish(self, end: &LogEnd) -> Result<ReplayResult, ReplayError> {
         let last = self.last.ok_or(ReplayError::Empty)?;
         let went_through = self.found.is_none();
@@ -281,11 +293,14 @@ impl Replay {
 }
 
 /// The run as it is computed again.
+///
+/// Built from the two configuration texts in the log, not from files on the disk.
 struct Recomputed {
     controller: AnyController,
     /// What stands before the names of each arm's numbers.
     prefixes: Vec<String>,
     hash: CommandHash,
+    /// From the log's inputs, in the order in which the recorder took them.
     inputs: InputHash,
     second_opinion: ReferenceComparison,
 }
@@ -377,6 +392,7 @@ impl Recomputed {
     }
 }
 
+/// The configuration file of that name as the run had it.
 fn text(header: &RunHeader, file: &'static str) -> Result<Source, ReplayError> {
     let text = header
         .text(file)

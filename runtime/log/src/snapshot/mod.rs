@@ -28,9 +28,12 @@ pub(super) struct SnapshotMessage {
     /// Record of the tick that follows it.
     record: u64,
     /// Hashes of all inputs and of all commands before it.
+    ///
+    /// 16 hexadecimal digits each, as is `layout`.
     input_hash: String,
     command_hash: String,
     layout: String,
+    /// 16 hexadecimal digits a word, without anything between.
     state: String,
     chunks: Vec<HeldMessage>,
 }
@@ -39,6 +42,7 @@ pub(super) struct SnapshotMessage {
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct HeldMessage {
     arm: usize,
+    /// Of the arm's ring of chunks.
     slot: usize,
     chunk: ChunkMessage,
 }

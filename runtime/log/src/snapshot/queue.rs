@@ -1,5 +1,9 @@
 //! Snapshots on their way from the control thread to the writer thread. The control thread's end
 //! neither allocates nor waits.
+//!
+//! A snapshot is a row of words: record, hash of the inputs, hash of the commands, layout, number
+//! of chunks, number of words of state; then arm, slot, sequence and observation time (ns) of each
+//! chunk; then the state. It is pushed in one piece or not at all.
 
 use hal::{TimeNs, count};
 use rtrb::{Consumer, Producer};
@@ -125,6 +129,7 @@ impl SnapshotQueue {
         })
     }
 
+    /// The next `count` words; none if there are not so many.
     fn words(&mut self, count: usize) -> Option<Vec<u64>> {
         Some(self.0.read_chunk(count).ok()?.into_iter().collect())
     }

@@ -64,9 +64,12 @@ pub fn verify_file<E: From<LogError> + From<VerifyError>>(path: &Path) -> Result
 struct Checker {
     stream: Stream,
     ticks: u64,
+    /// FNV-1a over the commands as [`trocar_control::CommandHash`] documents it, computed here once
+    /// more.
     hash: u64,
     /// The tick after the newest.
     next_tick: u64,
+    /// Nothing is missing up to now: only then must the hash be the reported one.
     complete: bool,
 }
 
