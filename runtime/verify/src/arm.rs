@@ -1,4 +1,10 @@
 //! Checks the commands of one arm, one after the other.
+//!
+//! A command with torque is checked for place (ranges, workspace, regions), motion (differences of
+//! set-points up to the jerk), its own rates, and the tip's two speeds since the one before. The
+//! history begins where the drives get their torque: at rest at the measured place, so that a jump
+//! at the first command shows as speed, acceleration and jerk. Without torque the command must copy
+//! the measured arm, and all its rates be zero.
 
 use hal::{ArmCommand, ArmError, ArmState, JOINT_COUNT, JointVector, Pose, TICK_NS};
 
@@ -28,21 +34,30 @@ enum Before {
 /// The check of one arm between two commands.
 #[derive(Clone, Debug)]
 pub(super) struct Arm {
+    /// All places are compared in the scene's frame.
     scene_from_rcm: Pose,
+    /// In joint order, then the jaw.
     axes: Vec<Axis>,
     pub(super) space: Space,
     pub(super) tip: Tip,
     pub(super) measured: Measured,
+    /// Broken by a stamp that does not rise by whole periods; value and bound are ns.
     stamp_limit: LimitId,
+    /// Value: how many ticks are missing.
     missing_limit: LimitId,
     hash_limit: LimitId,
+    /// Empty without torque.
     history: History,
+    /// The tip at the newest command with torque; none without one.
     place: Option<TipPose>,
+    /// The newest command's, ns.
     stamp: Option<u64>,
     /// Periods from the command before the newest to the newest.
     periods: f64,
     before: Before,
+    /// Since the beginning; the arm played its tail in them, which is no violation.
     pub(super) skipped_periods: u64,
+    /// None before the first command. The tails and the pair look at it.
     pub(super) newest: Option<Newest>,
     /// How the newest command with torque says that the axes move: velocities, and accelerations of
     /// the joints.
@@ -55,7 +70,9 @@ type Rates = ([f64; AXES], [f64; JOINT_COUNT]);
 /// The newest command and what it means.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Newest {
+    /// As it was sent.
     pub(super) command: ArmCommand,
+    /// The instrument at the command's positions, scene frame.
     pub(super) at: Instrument,
     /// Whether it moves the arm: the drives have torque, or lose it with this command.
     pub(super) powered: bool,
@@ -131,6 +148,9 @@ impl Arm {
     }
 
     /// Checks the next command.
+    ///
+    /// The stamp first, then the measured arm, then the motion. `measured_now` is what the
+    /// controller was given in the same tick.
     pub(super) fn tick(
         &mut self,
         ledger: &mut Ledger,
@@ -158,6 +178,8 @@ impl Arm {
     }
 
     /// Checks where the arm is measured.
+    ///
+    /// Scene frame.
     fn measure(&mut self, ledger: &mut Ledger, state: &ArmState) -> Instrument {
         let at = self.instrument(&axes(&state.position, state.jaw_position));
         self.measured.tick(ledger, &at);
@@ -213,6 +235,9 @@ impl Arm {
 
     /// Checks the rates of a command against its limits, against the setpoints and against one
     /// another.
+    ///
+    /// `moved` is by how much the set-points changed since the command before. Velocity and
+    /// acceleration go to the drives along with the position, so all three must agree.
     fn rates(&mut self, ledger: &mut Ledger, command: &ArmCommand, moved: Option<[f64; AXES]>) {
         let now: Rates = (velocities(command), accelerations(command));
         let before = self.rates.replace(now);
@@ -238,6 +263,8 @@ impl Arm {
     }
 
     /// Checks a command that moves the arm.
+    ///
+    /// The first command after a gap has a place and no motion: its predecessor is not known.
     fn powered(&mut self, ledger: &mut Ledger, command: &ArmCommand, at: &Instrument) {
         let sample = positions(command);
         self.places(ledger, Moment::Command, &sample, at);
@@ -303,6 +330,8 @@ impl Arm {
 
     /// Stamps must rise by whole periods; more than one means that the driver skipped some, in
     /// which the arm played its tail.
+    ///
+    /// Sets `periods`, by which differences are divided.
     fn stamp(&mut self, ledger: &mut Ledger, command: &ArmCommand) {
         let now = command.stamp.0;
         self.periods = 1.0;

@@ -32,11 +32,14 @@ pub(super) enum Order {
 pub(super) struct Axis {
     /// Which one it is.
     index: usize,
+    /// Velocity, acceleration and jerk, rad (m) and s.
     bounds: [f64; 3],
+    /// Low and high. Beyond its range an axis gets no recovery margin.
     range: [Boundary; 2],
     derivatives: [LimitId; 3],
     commanded_velocity: LimitId,
     commanded_acceleration: LimitId,
+    /// Velocity against the positions, acceleration against the velocities.
     mismatches: [LimitId; 2],
     disabled_acceleration: LimitId,
     disabled_position: LimitId,
@@ -103,6 +106,9 @@ impl Axis {
     ///
     /// With at most the highest jerk between, the mean of both rates is no further from the mean
     /// rate.
+    ///
+    /// This is the error of the trapezoidal rule: of a rate whose second derivative is at most `j`
+    /// it is `j h^2 / 12`, of one whose first derivative is at most `j` it is `j h / 4`.
     pub(super) fn agrees(
         &self,
         ledger: &mut Ledger,
@@ -141,6 +147,7 @@ impl Axis {
         ledger.judge(limit, acceleration.abs(), REST, acceleration, 0.0);
     }
 
+    /// The next command may be out of range, and sets what is allowed from then on.
     pub(super) fn forget(&mut self) {
         self.range.iter_mut().for_each(Boundary::forget);
     }

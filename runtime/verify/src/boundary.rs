@@ -13,6 +13,7 @@ pub(super) enum Moment {
 }
 
 impl Moment {
+    /// Of a pair of limits the one for this moment.
     pub(super) const fn of(self, [command, tail]: [LimitId; 2]) -> LimitId {
         match self {
             Self::Command => command,
@@ -32,9 +33,11 @@ pub(super) struct Boundary {
     limits: [LimitId; 2],
     /// The same for the bound that came back.
     again: [LimitId; 2],
+    /// In the unit of the value: m, or rad of an axis.
     bound: f64,
     /// 1 if the value must be at least the bound, -1 if at most.
     side: f64,
+    /// Same unit; 0 of axes.
     recovery: f64,
     /// How far outside a value may be; `None` before the first command with torque.
     allowance: Option<Allowance>,
@@ -50,6 +53,7 @@ struct Allowance {
 }
 
 impl Boundary {
+    /// Opens four limits: `name`, `tail.name`, and both with `.again`.
     pub(super) fn at_least(
         ledger: &mut Ledger,
         arm: &str,
@@ -97,6 +101,7 @@ impl Boundary {
         }
     }
 
+    /// The bound in a violation is the one that was allowed.
     fn judge(&self, ledger: &mut Ledger, limit: LimitId, value: f64, allowance: f64) {
         let bound = self.bound - self.side * allowance;
         let excess = self.side * (bound - value);
@@ -139,6 +144,7 @@ impl Boundary {
         }
     }
 
+    /// 0 within.
     fn outside(&self, value: f64) -> f64 {
         (self.side * (self.bound - value)).max(0.0)
     }

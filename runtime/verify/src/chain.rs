@@ -1,5 +1,9 @@
 //! Forward kinematics for the checker: the product of the elementary motions of each row of the
 //! arm's table.
+//!
+//! Each row of `hal::psm::DH` is `Rx(alpha) Tx(a) Rz(theta) Tz(d)` (Craig's modified convention),
+//! multiplied as quaternions and translations. A jaw angle below zero presses the fingers together,
+//! and moves nothing.
 
 use hal::psm::{DH, DhRow, FINGER_M, JAW_MAX, TIP_FROM_WRIST_YAW};
 use hal::{JointVector, Pose};
@@ -17,8 +21,11 @@ pub(super) const POINT_NAMES: [&str; 3] = ["control_point", "left_finger_tip", "
 /// The points of the instrument that limits speak of, scene frame, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Instrument {
+    /// Where the shaft begins.
     pub(super) remote_centre: Point3<f64>,
+    /// Where the shaft ends, on the wrist-pitch axis.
     pub(super) wrist_pitch: Point3<f64>,
+    /// On the wrist-yaw axis: the tip of speeds and of the workspace.
     pub(super) control_point: Point3<f64>,
     /// Left, towards the tip frame's y, and right.
     pub(super) finger_tips: [Point3<f64>; 2],
@@ -84,6 +91,7 @@ fn frame_origin(frame: &Pose) -> Point3<f64> {
     frame.translation.vector.into()
 }
 
+/// From the last row's frame, that of the wrist's yaw, to the tip's.
 fn tip_from_last() -> UnitQuaternion<f64> {
     let tip = TIP_FROM_WRIST_YAW;
     let rotation = Matrix3::from_fn(|row, column| tip[row][column]);

@@ -12,16 +12,21 @@ pub(super) const AXES: usize = hal::JOINT_COUNT + 1;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct History {
     /// Newest first.
+    ///
+    /// Positions in joint order, then the jaw; rad, of the insertion m.
     samples: [[f64; AXES]; 4],
     /// How many periods ago each was, newest first.
     ages: [f64; 4],
+    /// Set-points since the last [`Self::clear`], of which at most four are kept.
     count: usize,
 }
 
 /// One difference quotient and how far rounding can have moved it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Quotient {
+    /// rad (m) over s to the order.
     pub(super) value: f64,
+    /// Same unit, never negative: what a tolerance adds to the bound.
     pub(super) rounding: f64,
 }
 
@@ -70,6 +75,9 @@ impl History {
 
     /// Difference quotient of `order` 1 (velocity), 2 (acceleration) or 3 (jerk) of one axis;
     /// `None` while there are too few samples.
+    ///
+    /// `k! sum x_i / prod (t_i - t_j)` over the newest `k + 1` samples, with the times in whole
+    /// periods, and the sum over `period_s^k`.
     pub(super) fn quotient(&self, axis: usize, order: usize, period_s: f64) -> Option<Quotient> {
         let factorial = FACTORIALS.get(order)?;
         if order == 0 || self.count <= order {

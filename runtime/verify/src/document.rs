@@ -15,6 +15,10 @@ pub(super) struct Document {
 }
 
 impl Document {
+    /// Takes any TOML; what is missing shows only where a key is looked up.
+    ///
+    /// # Errors
+    /// [`VerifyError::Malformed`] with the parser's message.
     pub(super) fn parse(file: &'static str, text: &str) -> Result<Self, VerifyError> {
         let table = text
             .parse()
@@ -38,6 +42,7 @@ impl Document {
 /// A table in a text.
 pub(super) struct Entry<'a> {
     file: &'static str,
+    /// What stands before its keys in messages, such as `arm.0.`; empty of the root.
     place: String,
     table: &'a Table,
 }
@@ -51,6 +56,7 @@ impl<'a> Entry<'a> {
         }
     }
 
+    /// What is at a dotted path, whatever its type.
     fn value(&self, key: &str) -> Option<&'a Value> {
         let mut parts = key.split('.');
         let first = self.table.get(parts.next()?)?;
@@ -62,11 +68,20 @@ impl<'a> Entry<'a> {
         self.value(key).is_some()
     }
 
+    /// A finite number; an integer counts. Keys that nobody looks up are passed over: to refuse
+    /// them is the controller's affair.
+    ///
+    /// # Errors
+    /// [`VerifyError::Malformed`] if it is missing, no number or not finite.
     pub(super) fn number(&self, key: &str) -> Result<f64, VerifyError> {
         let value = self.value(key).and_then(number);
         value.ok_or_else(|| self.missing(key))
     }
 
+    /// Three numbers in an array, of which integers count as well.
+    ///
+    /// # Errors
+    /// [`VerifyError::Malformed`] for another length, another type or a number that is not finite.
     pub(super) fn vector(&self, key: &str) -> Result<Vector3<f64>, VerifyError> {
         let value = self.value(key).and_then(vector);
         value.ok_or_else(|| self.missing(key))

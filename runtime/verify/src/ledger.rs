@@ -35,7 +35,9 @@ pub(super) struct Ledger {
     /// The tick that is being checked.
     pub(super) tick: u64,
     limits: Vec<Limit>,
+    /// In the order in which they were found.
     violations: Vec<Violation>,
+    /// All of them, kept or not.
     count: u64,
 }
 
@@ -43,6 +45,7 @@ pub(super) struct Ledger {
 struct Limit {
     arm: String,
     name: String,
+    /// None of a limit that nothing was judged by.
     worst: Option<Extreme>,
     broken: u64,
 }
@@ -52,10 +55,12 @@ struct Extreme {
     tick: u64,
     value: f64,
     bound: f64,
+    /// Value beyond bound; negative within, NaN if the value is.
     excess: f64,
 }
 
 impl Limit {
+    /// The first of equals stays; NaN is worse than everything.
     fn keep_worst(&mut self, extreme: Extreme) {
         let no_worse = self
             .worst

@@ -1,4 +1,7 @@
 //! The limits of a run, read from its configuration texts. Places are in the scene's frame.
+//!
+//! The same keys as the controller reads, by a parser of its own (`document`). Ranges of the limits
+//! themselves are not checked: commands are judged by what the texts say.
 
 use hal::Pose;
 use hal::joints::{INSERTION, JOINT_NAMES};
@@ -17,10 +20,13 @@ pub const SAFETY: &str = "safety.toml";
 /// Limits of one axis, rad (insertion m) and their derivatives.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct AxisLimits {
+    /// The joint's name, or `jaw`.
     pub(super) name: &'static str,
     pub(super) low: f64,
     pub(super) high: f64,
     /// Bounds of velocity, acceleration and jerk.
+    ///
+    /// rad/s, rad/s², rad/s³; of the insertion m/s, m/s², m/s³.
     pub(super) derivatives: [f64; 3],
 }
 
@@ -28,8 +34,11 @@ pub(super) struct AxisLimits {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ArmLimits {
     pub(super) name: String,
+    /// The pose of the remote centre in the scene.
     pub(super) scene_from_rcm: Pose,
     /// Box for the control point and the finger tips, m.
+    ///
+    /// Along the scene's axes, as in the file: the controller has the box in the arm's frame.
     pub(super) box_low_m: Vector3<f64>,
     pub(super) box_high_m: Vector3<f64>,
 }
@@ -59,12 +68,18 @@ pub(super) struct Limits {
     /// What stops keep from every boundary, m.
     pub(super) guard_m: f64,
     pub(super) arms: Vec<ArmLimits>,
+    /// Scene frame, the same for all arms.
     pub(super) regions: Vec<Region>,
+    /// None for one arm, unless the file has them.
     pub(super) between_arms: Option<BetweenArms>,
 }
 
 impl Limits {
     /// What the two configuration texts say.
+    ///
+    /// # Errors
+    /// [`VerifyError::Malformed`] for a text that does not parse, a key that is missing or of
+    /// another type, or no arm at all.
     pub(super) fn parse(control: &str, safety: &str) -> Result<Self, VerifyError> {
         let (control, safety) = (
             Document::parse(CONTROL, control)?,
@@ -91,6 +106,7 @@ impl Limits {
     }
 }
 
+/// All tables of the array at `key`, read one by one; the first error ends it.
 fn each<T>(
     root: &Entry<'_>,
     key: &str,

@@ -1,5 +1,10 @@
 //! Where the measured arms are: commands keep their distance, and an arm that lags behind its
 //! commands may still come too near.
+//!
+//! Commands keep their distance by the guard's margin; a measured arm may use that margin up, and
+//! is judged by the boundary itself. A part counts as gone out only after it was within by the
+//! margin once since the arm got its torque: an arm that is switched on beyond a boundary breaks
+//! nothing by being there.
 
 use hal::ArmState;
 use serde::Serialize;
@@ -32,7 +37,9 @@ pub struct MeasuredClearance {
 pub(super) struct Nearest {
     arm: String,
     boundary: String,
+    /// For the workspace point by point six faces, for a region the links, for a pair the gaps.
     parts: Vec<Part>,
+    /// The smallest clearance, m, with its tick and part.
     least: Option<(f64, u64, usize)>,
     ticks_beyond: u64,
 }
@@ -118,6 +125,7 @@ impl Nearest {
 /// The boundaries of one measured arm.
 #[derive(Clone, Debug)]
 pub(super) struct Measured {
+    /// The workspace box, scene frame, m.
     low_m: [f64; 3],
     high_m: [f64; 3],
     workspace: Nearest,
@@ -186,6 +194,8 @@ impl Measured {
 }
 
 /// A measurement of where an instrument can be.
+///
+/// None if it is lost, not finite, or out of the mechanism's range.
 pub(super) fn possible<E>(measured: &Result<ArmState, E>) -> Option<&ArmState> {
     let state = measured.as_ref().ok()?;
     (state.is_finite() && state.impossible().is_none()).then_some(state)

@@ -1,5 +1,9 @@
 //! The gaps between two instruments: their shafts, and the tips of either from the shaft of the
 //! other. Tips may meet.
+//!
+//! A shaft is a capsule of [`SHAFT_RADIUS_M`], the other part a centre line of the same thickness.
+//! The gaps are checked at each tick for both arms as commanded, at each millisecond of both tails,
+//! and for both as measured.
 
 use hal::psm::SHAFT_RADIUS_M;
 use nalgebra::Point3;
@@ -18,14 +22,17 @@ const GAPS: usize = 7;
 /// The boundaries between two arms.
 #[derive(Clone, Debug)]
 pub(super) struct Pair {
+    /// In the order of [`gap_names`]: shafts, the first arm's three parts, the second's.
     gaps: [Boundary; GAPS],
     /// Where the arms were.
     before: Option<[Instrument; 2]>,
+    /// From surface to surface.
     keep_m: [f64; GAPS],
     measured: Nearest,
     within_m: f64,
 }
 
+/// Such as `psm1_wrist.psm2_shaft`.
 fn gap_names(first: &str, second: &str) -> [String; GAPS] {
     core::array::from_fn(|index| match index {
         0 => "shaft.shaft".to_owned(),
@@ -35,6 +42,7 @@ fn gap_names(first: &str, second: &str) -> [String; GAPS] {
 }
 
 impl Pair {
+    /// None unless there are two arms.
     pub(super) fn new(ledger: &mut Ledger, limits: &Limits, between: &BetweenArms) -> Option<Self> {
         let [first, second] = limits.arms.as_slice() else {
             return None;

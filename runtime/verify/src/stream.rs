@@ -19,7 +19,9 @@ pub struct Stream {
     arms: Vec<Arm>,
     pair: Option<Pair>,
     tails: Tails,
+    /// More commands than arms in `safety.toml`.
     strangers: LimitId,
+    /// Fewer.
     absent: LimitId,
     clock: LimitId,
     contents: LimitId,

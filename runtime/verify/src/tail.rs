@@ -1,4 +1,9 @@
 //! Checks the stop that travels with a command, by playing it.
+//!
+//! A tail is three phases of constant jerk an axis, as `hal::SafeTail` has them. It is played in
+//! steps of a millisecond, ends of phases in between: derivatives are exact at the ends of phases
+//! and where the speed peaks, places and the tip's speeds are checked once a millisecond. A stop of
+//! 0.4 s is 400 steps. A log holds no tails, so they are checked only where the controller runs.
 
 use hal::SafeTail;
 use hal::tail::{AxisTail, TailPhase};
@@ -19,13 +24,19 @@ const SAME: f64 = REST;
 #[derive(Clone, Debug)]
 pub(super) struct Tails {
     /// For each arm its axes.
+    ///
+    /// Joint order, then the jaw.
     axes: Vec<Vec<TailAxis>>,
     stamps: Vec<LimitId>,
     enabled: Vec<LimitId>,
+    /// An arm has a command and no tail, or a tail and no command.
     missing: LimitId,
 }
 
 /// The limits of one axis's tail.
+///
+/// Opened once for each axis; a tail breaks `tail.yaw.jerk`, `tail.yaw.start_velocity`,
+/// `tail.yaw.rest_velocity` or `tail.yaw.duration`.
 #[derive(Clone, Debug)]
 struct TailAxis {
     bounds: [f64; 3],
@@ -57,6 +68,7 @@ impl TailAxis {
         }
     }
 
+    /// `order` 0 is the velocity, 1 the acceleration, 2 the jerk.
     fn derivative(&self, ledger: &mut Ledger, order: usize, value: f64) {
         let bound = self.bounds[order];
         let excess = value.abs() - bound;
@@ -65,11 +77,14 @@ impl TailAxis {
 }
 
 /// One axis that plays its tail.
+///
+/// Phases are used up as it plays: their durations are what is left.
 #[derive(Clone, Copy, Debug)]
 struct Player {
     /// Position, velocity and acceleration.
     state: [f64; 3],
     phases: [TailPhase; 3],
+    /// The end was checked, and what follows is rest.
     rests: bool,
 }
 
@@ -167,6 +182,7 @@ impl Tails {
         tails
     }
 
+    /// Checks the tails of the newest commands, one for each arm in their order.
     pub(super) fn check(
         &self,
         ledger: &mut Ledger,
@@ -273,6 +289,8 @@ impl Tails {
     }
 
     /// Plays one arm's tail for a period and checks where the arm is then.
+    ///
+    /// An arm without torque has tails of no length, and nothing else to be checked.
     fn step(
         &self,
         ledger: &mut Ledger,
@@ -299,6 +317,8 @@ impl Tails {
 
 /// Position, velocity and acceleration of each axis as commanded; a command has no acceleration of
 /// the jaw.
+///
+/// Joint order, then the jaw.
 fn expected(newest: &Newest) -> [[Option<f64>; 3]; AXES] {
     let command = &newest.command;
     let (positions, velocities) = (positions(command), velocities(command));

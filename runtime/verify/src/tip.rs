@@ -1,4 +1,8 @@
 //! How fast the tip moves and turns between two places.
+//!
+//! Chord over time and rotation angle over time are mean speeds between two set-points. Somewhere
+//! in between the tip is at least that fast, so a mean beyond the bound is a violation whatever
+//! happens there.
 
 use nalgebra::{Point3, UnitQuaternion};
 
@@ -13,6 +17,7 @@ pub(super) struct Tip {
     /// For commands and for their tails.
     speed: [LimitId; 2],
     angular_speed: [LimitId; 2],
+    /// Bound, as `angular_speed_rad_s`; both from `control.toml`.
     speed_m_s: f64,
     angular_speed_rad_s: f64,
 }
