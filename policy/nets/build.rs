@@ -1,5 +1,8 @@
 //! The folder of libtorch, as every package with a binary has it, and what reaches libtorch's CUDA
 //! graphs, which are C++.
+//!
+//! `shim.cpp` is compiled against libtorch's headers with stand-ins of our own for CUDA's, so that
+//! no CUDA toolkit is needed to build, and one program serves a libtorch with and without CUDA.
 
 #[path = "../build.rs"]
 mod libtorch;
@@ -7,6 +10,7 @@ mod libtorch;
 use std::env;
 use std::path::PathBuf;
 
+/// Panics, which ends the build, if `LIBTORCH` (or `LIBTORCH_INCLUDE`) has no headers.
 fn main() {
     libtorch::main();
     let folder = "src/cuda_graph";

@@ -1,4 +1,8 @@
 //! Training of ACT from images.
+//!
+//! A step: indices of frames and draws for their images go to the device; there bytes are shifted,
+//! normalised, recoloured and go through backbone and transformer; the loss's gradient goes back
+//! through all of it, in bfloat16 on CUDA through the backbone by kernels of our own.
 
 use tch::{Device, Kind, TchError, Tensor};
 
@@ -19,7 +23,7 @@ use trocar_nets::normalise::ImageNormaliser;
 use trocar_nets::parameters::{ParameterError, ParameterSource};
 
 /// Frames whose images give a frozen batch normalisation its statistics, in a training from
-/// scratch.
+/// scratch. Evenly spread over those that are trained on.
 const STATISTICS_FRAMES: usize = 32;
 
 impl Network for Act {
@@ -40,7 +44,7 @@ impl Trainer {
     ///
     /// Cameras of the configuration must be the dataset's, in its order, and its widths those of
     /// the dataset's arms. `watch` gets the number of decoded frames and every row of the loss
-    /// curve.
+    /// curve. On the CPU two runs with the same options give the same bits; on CUDA they need not.
     ///
     /// # Errors
     /// [`TrainError`].
@@ -98,6 +102,9 @@ impl Trainer {
     }
 
     /// Kernels of our own for the backbone, where there are some.
+    ///
+    /// None for another device or precision, and where they can't be compiled, which `watch` hears
+    /// as [`Progress::Slower`].
     fn kernels(&self, options: &TrainOptions, watch: &mut dyn TrainingObserver) -> Option<Kernels> {
         if !self.device.is_cuda() || options.precision != TrainPrecision::Bf16 {
             return None;
@@ -142,8 +149,10 @@ fn check_cameras(config: &ActConfig, dataset: &Dataset) -> Result<(), TrainError
 struct Run<'a> {
     act: Act,
     images: ImageNormaliser,
+    /// None where the library differentiates the backbone too.
     kernels: Option<Kernels>,
     options: &'a TrainOptions,
+    /// All frames; batches are picked from it on the device.
     set: &'a TrainingSet,
 }
 
@@ -209,6 +218,7 @@ impl Learner for Run<'_> {
         })
     }
 
+    /// By inference: no augmentation, no dropout, latent zero, only steps within the episode.
     fn error(&self, frames: &[usize]) -> Result<f64, TchError> {
         let indices = index_tensor(frames, self.set.device())?;
         let sent = self.set.images.sent(frames)?;

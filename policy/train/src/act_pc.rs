@@ -1,4 +1,7 @@
 //! Training of ACT-PC: ACT's recipe, its clouds and what belongs together in them made once.
+//!
+//! Centres and neighbours are found on the CPU before the first step and stay as they are; noise
+//! moves the points and not who belongs to whom.
 
 use tch::{Device, Kind, TchError, Tensor};
 
@@ -82,7 +85,8 @@ impl Trainer {
     }
 }
 
-/// Every frame's cloud with its tokens' centres and neighbours, found by `threads` threads.
+/// Every frame's cloud with its tokens' centres and neighbours, found by `threads` threads. The
+/// order is that of the frames, whatever the threads do.
 fn all_clouds(
     clouds: &[Vec<Point>],
     config: &ActPcConfig,
@@ -127,9 +131,13 @@ fn all_clouds(
 /// A run in progress: everything on the training device.
 struct Run {
     network: ActPc,
+    /// `(frames, ..)`, of all frames.
     clouds: Clouds,
+    /// `(frames, state)`, normalised.
     states: Tensor,
+    /// `(frames, steps, action)`, normalised.
     actions: Tensor,
+    /// `(frames, steps)`, true past the end of the episode.
     is_pad: Tensor,
     augmentation: Augmentation,
 }

@@ -1,4 +1,8 @@
 //! Random changes of training images, clouds and states, drawn from the run's own seed.
+//!
+//! Images draw from the step's own generator on the CPU, one draw a frame for all its cameras;
+//! noise on states and points draws from the network library's generator on the device, which the
+//! step seeds. With everything off, tensors pass through untouched and nothing is drawn.
 
 use tch::{Kind, TchError, Tensor};
 
@@ -37,7 +41,7 @@ pub(super) fn drawn(
 }
 
 /// `images` `(batch, cameras, height, width, channels)`, each frame moved by its own draw, its
-/// edges repeated.
+/// edges repeated. Works on bytes, by index, so a shifted pixel is exactly the recorded one.
 pub(super) fn shifted(
     images: Tensor,
     options: &Augmentation,
@@ -73,6 +77,8 @@ fn sources(drawn: &Tensor, column: i64, side: i64) -> Result<Tensor, TchError> {
 
 /// `images` `(batch, cameras, 3, height, width)`, normalised, each frame with its own draw's
 /// brightness and contrast.
+///
+/// `(x - mean) (1 + contrast) + mean + 4 brightness`, the mean over all of a frame's images.
 pub(super) fn coloured(
     images: Tensor,
     options: &Augmentation,

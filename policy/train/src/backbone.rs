@@ -14,7 +14,7 @@ use trocar_nets::parameters::ParameterSource;
 impl Trainer {
     /// The same, but that the backbone of an ACT network, which must have frozen batch
     /// normalisation, starts from `weights` instead of random ones. A run that goes on has it all
-    /// in its state.
+    /// in its state. [`TrainOptions::for_trained_backbone`] has it move slower than the rest.
     #[must_use]
     pub fn starting_from(self, weights: BackboneWeights) -> Self {
         Self {
@@ -25,7 +25,8 @@ impl Trainer {
 
     /// The network before its first step; of a run that goes on, with that run's statistics, which
     /// it takes in while it is built. `images` gives `(n, cameras, 3, height, width)`, normalised,
-    /// on the CPU.
+    /// on the CPU. `images` is called only where statistics are to be measured, since it decodes
+    /// frames.
     pub(super) fn fresh(
         &self,
         config: &ActConfig,

@@ -1,5 +1,8 @@
 //! A dataset as point clouds: every frame's cloud made once and kept, by the function that policies
 //! use at run time.
+//!
+//! Clouds of a whole dataset fit into memory (12 bytes a point); depth images would not. So a step
+//! makes no cloud, and picks from those that are there.
 
 use hal::FrameRef;
 use tch::{Device, TchError, Tensor};
@@ -99,7 +102,8 @@ impl CloudSet {
         })
     }
 
-    /// The set as a training draws from it; `cloud` made its clouds.
+    /// The set as a training draws from it; `cloud` made its clouds. The recipe goes into the run's
+    /// description: a run can't be resumed with other clouds.
     pub(super) fn prepared<'a>(&'a self, cloud: &'a CloudRecipe) -> Prepared<'a, CloudStatistics> {
         Prepared {
             split: Split {

@@ -24,6 +24,8 @@ pub struct CurveRow {
 }
 
 /// All rows of a run.
+///
+/// Written as CSV beside a checkpoint, drawn by [`Self::to_svg`], and kept in a run's state.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LossCurve {
     /// In order of the steps.

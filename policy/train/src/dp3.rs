@@ -70,7 +70,8 @@ struct Run {
     states: Tensor,
     /// `(frames, horizon, action)`.
     actions: Tensor,
-    /// Indices of what is observed at each frame, oldest first: `(frames, observations)`.
+    /// Indices of what is observed at each frame, oldest first: `(frames, observations)`. At the
+    /// beginning of an episode its first frame takes the place of those before it.
     observed: Tensor,
     /// What a metre is in normalised points, for each coordinate.
     metre: Tensor,
@@ -79,6 +80,7 @@ struct Run {
 }
 
 impl Run {
+    /// Normalises everything once, by the limits of the trained frames.
     fn new(
         dp3: Dp3,
         dataset: &Dataset,
@@ -170,6 +172,7 @@ impl Learner for Run {
         })
     }
 
+    /// Mean absolute error of the executed steps, after the whole diffusion of inference.
     fn error(&self, frames: &[usize]) -> Result<f64, TchError> {
         let indices = index_tensor(frames, self.device)?;
         let [points, states, actions] = self.batch(&indices)?;

@@ -2,6 +2,12 @@
 //!
 //! The network holds views of the long tensor, so one step is a dozen operations whatever the
 //! number of layers, and fewer on an accelerator.
+//!
+//! The way of a step: gradients of the leaves are gathered into one tensor, its norm is clipped,
+//! AdamW moves the master copy (the backbone's part at a rate of its own), the working copy is
+//! rounded from it, and the moving average follows. Two implementations give the same up to
+//! rounding: one in single operations, for the CPU, and one by the library's fused kernels, which a
+//! CUDA graph can capture.
 
 use std::collections::BTreeMap;
 
@@ -33,6 +39,7 @@ pub(super) struct ManualBackward<'a> {
     pub(super) back: BackwardFn<'a>,
 }
 
+/// Runs once, after the gradient of what the part gave is known.
 pub(super) type BackwardFn<'a> =
     Box<dyn FnOnce(&Tensor) -> Result<Vec<(Tensor, Tensor)>, TchError> + 'a>;
 
@@ -94,16 +101,22 @@ pub(super) struct FlatParameters {
     master: Tensor,
     /// What the network computes with: the master itself, or its copy in half precision.
     working: Tensor,
+    /// Views of `working` with a gradient, one for each of `keys`.
     leaves: Vec<Tensor>,
-    /// Where each leaf begins; what is between them is zero.
+    /// Where each leaf begins; what is between them is zero. In elements, in the order of `keys`.
     starts: Vec<i64>,
+    /// Keys of the trained parameters: the backbone's, then the others', each part in alphabetical
+    /// order.
     keys: Vec<String>,
     /// Elements of the backbone; they come first.
     backbone_length: i64,
     /// In single precision, for an accelerator.
     gradient: Option<Tensor>,
+    /// Moving mean of the gradient, as long as `master`.
     first_moment: Tensor,
+    /// Moving mean of its square.
     second_moment: Tensor,
+    /// Moving average of `master`; none if its decay is 0.
     average: Option<Tensor>,
     /// What the optimiser leaves alone, in single precision: tables, and statistics that move with
     /// what is seen.
@@ -201,6 +214,9 @@ impl FlatParameters {
     }
 
     /// Copies of everything that a run needs to go on, by name.
+    ///
+    /// Paddings between leaves are left out, so a state written on one device can be read on
+    /// another.
     pub(super) fn state(&self) -> Result<BTreeMap<String, Tensor>, TchError> {
         let mut state = BTreeMap::new();
         for (name, tensor, is_flat) in self.named() {
@@ -466,6 +482,8 @@ impl FlatParameters {
 }
 
 /// Clips `gradient` to the options' norm; returns its norm before.
+///
+/// `g * min(1, clip / (norm + 1e-6))`, as PyTorch has it; nothing is read back from the device.
 fn clip(gradient: &Tensor, options: &TrainOptions) -> Result<Tensor, TchError> {
     let norm = gradient.f_norm()?;
     if options.clip_norm.is_finite() {

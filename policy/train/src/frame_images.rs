@@ -1,5 +1,8 @@
 //! All images of a dataset, decoded once: on the training device, or in the host's memory and sent
 //! ahead of each step.
+//!
+//! Each image is decoded once, whatever the number of steps, so the bytes must fit somewhere: a
+//! dataset of 10 000 frames of two cameras at 256 x 256 is 3.9 GB.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -141,13 +144,17 @@ impl FrameImages {
 
 /// Images in the host's memory, and the thread that gathers batches of them.
 pub(super) struct Stream {
+    /// All images, `(frames, cameras, height, width, 3)`.
     bytes: Arc<Vec<u8>>,
     shape: Shape,
     device: Device,
+    /// Orders to the thread; none while this is dropped.
     wanted: Option<Sender<Vec<usize>>>,
+    /// Its batches, in the order of the orders.
     gathered: Receiver<Vec<u8>>,
     /// What is being gathered, in order.
     announced: RefCell<VecDeque<Vec<usize>>>,
+    /// Ends when `wanted` is dropped.
     thread: Option<JoinHandle<()>>,
 }
 
@@ -175,6 +182,7 @@ impl Stream {
         }
     }
 
+    /// Has a batch gathered.
     fn announce(&self, frames: &[usize]) {
         if let Some(wanted) = &self.wanted
             && wanted.send(frames.to_vec()).is_ok()
@@ -183,6 +191,7 @@ impl Stream {
         }
     }
 
+    /// The batch that was announced first, if it is of `frames`; else they are gathered now.
     fn batch(&self, frames: &[usize]) -> Result<Tensor, TchError> {
         let mut announced = self.announced.borrow_mut();
         let ahead = if announced.front().is_some_and(|next| next == frames) {

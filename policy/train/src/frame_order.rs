@@ -7,6 +7,7 @@ use hal::random::SplitMix64;
 ///
 /// The frames of a step depend on the seed and the step alone, so that a run can resume anywhere.
 pub(super) struct FrameOrder {
+    /// Those that are trained on, in the dataset's order.
     frames: Vec<usize>,
     seed: u64,
     /// The newest round through all frames, and its order.
@@ -24,7 +25,7 @@ impl FrameOrder {
     }
 
     /// The `count` frames of `step`, from 0, when every step has as many; none if there are no
-    /// frames at all.
+    /// frames at all. A batch may span two rounds, and then hold a frame twice.
     pub(super) fn of_step(&mut self, step: u64, count: usize) -> Vec<usize> {
         let total = self.frames.len() as u64;
         if total == 0 {

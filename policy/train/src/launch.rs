@@ -43,7 +43,8 @@ impl Launch {
     }
 
     /// Launches a step, which is `work` with `inputs`; the result is on the device. `work` must
-    /// launch the same at every step, and the caller seeds the generator of random numbers.
+    /// launch the same at every step, and the caller seeds the generator of random numbers. A
+    /// capture that fails is reported once, and the run goes on eagerly.
     pub(super) fn step(
         &mut self,
         inputs: &[Tensor],

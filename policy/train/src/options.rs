@@ -1,4 +1,7 @@
 //! Options of a training run, and a preset for each network.
+//!
+//! `recipes` has the presets; the command line starts from one and changes single options. A
+//! checkpoint's `trocar.json` keeps them, all but `eager`.
 
 use serde::{Deserialize, Serialize};
 
@@ -70,12 +73,16 @@ pub struct TrainOptions {
     /// How much of the gradients' mean stays at a step.
     pub beta_1: f64,
     /// Weight decay (decoupled).
+    ///
+    /// AdamW's: it shrinks the weight itself, times the learning rate, and not through the
+    /// gradient.
     pub weight_decay: f64,
     /// Steps over which the learning rate rises from 0.
     pub warm_up_steps: u64,
     /// How it runs from there.
     pub schedule: Schedule,
-    /// Greatest norm of the gradient; longer ones are shortened to it. Infinite is off.
+    /// Greatest norm of the gradient; longer ones are shortened to it. Infinite is off. Over all
+    /// parameters together.
     pub clip_norm: f64,
     /// Decay of the moving average of the weights, which is what is kept at the end. 0 keeps the
     /// last weights.
@@ -97,8 +104,8 @@ pub struct TrainOptions {
     /// Keep the images in the host's memory and send each step's ahead of it, for what the device
     /// has no room for.
     pub images_on_host: bool,
-    /// Tell an accelerator each operation of every step, instead of recording a step after the
-    /// first few and repeating it.
+    /// Launch the kernels of every step one by one, instead of capturing a step as a CUDA graph
+    /// after the first few and replaying it.
     #[serde(skip)]
     pub eager: bool,
     /// Threads that decode images, and that compute if training is on the CPU.
@@ -166,6 +173,9 @@ impl TrainOptions {
     }
 
     /// The factor on both learning rates at `step`, from 0.
+    ///
+    /// In the warm-up `(step + 1) / warm_up_steps`; then by the schedule over the steps that are
+    /// left.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
     pub fn lr_factor(&self, step: u64) -> f64 {

@@ -1,5 +1,7 @@
 //! The curve of a training as a picture: a small vector graphic, losses over steps on a logarithmic
 //! scale.
+//!
+//! Plain text without a library; the same curve gives the same bytes.
 
 use core::fmt::Write as _;
 
@@ -18,8 +20,10 @@ const LEAST: f64 = 1e-9;
 
 /// One line of the picture.
 struct Series {
+    /// In the legend.
     name: &'static str,
     colour: &'static str,
+    /// The value in a row, if it has one.
     of: fn(&CurveRow) -> Option<f64>,
 }
 
@@ -49,6 +53,7 @@ const SERIES: [Series; 4] = [
 
 /// Where a step and a value are in the picture.
 struct Axes {
+    /// The last step, at the right end.
     steps: f64,
     /// Decimal logarithms of the least and the greatest value.
     decades: [f64; 2],

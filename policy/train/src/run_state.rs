@@ -3,6 +3,10 @@
 //! Every random number of a step depends on the run's seed and the step alone, so that there is no
 //! generator state to keep: what is kept is the parameters with their optimiser, the moving
 //! average, and the curve so far.
+//!
+//! A safetensors file: `step` (int64), `curve` (float64, a row of seven numbers each), `about` and
+//! `run` (UTF-8 bytes), `since_row`, and the parameters' tensors under the names that `flat` gives
+//! them. What it holds is checked when it is read, and its fit to the run when that resumes.
 
 use hal::count::index;
 use std::collections::BTreeMap;
@@ -15,11 +19,16 @@ use super::TrainError;
 use super::curve::{CurveRow, LossCurve};
 use trocar_nets::dimension::dimension;
 
-/// Keys of what is stored beside parameters and moments.
+/// Steps taken. This and the next four are the keys of what is stored beside parameters and
+/// moments.
 const STEP: &str = "step";
+/// The rows of the loss curve.
 const CURVE: &str = "curve";
+/// The caller's text.
 const ABOUT: &str = "about";
+/// What must be the same in a run that resumes.
 const RUN: &str = "run";
+/// Losses of the steps since the curve's last row.
 const SINCE_ROW: &str = "since_row";
 
 /// Numbers in a row of the stored curve.
@@ -31,6 +40,9 @@ pub struct RunState {
     /// Steps taken.
     pub step: u64,
     /// What the caller wants to know again: how the run was begun.
+    ///
+    /// Empty in a state that a run gives to
+    /// [`TrainingObserver::keep`](crate::TrainingObserver::keep): the caller fills it in.
     pub about: String,
     /// What must be the same in the run that goes on, as JSON.
     pub(super) run: String,

@@ -62,6 +62,7 @@ impl SegmenterTraining {
         self.options().defect()
     }
 
+    /// The options of the optimiser; those of images and datasets have no effect.
     fn options(&self) -> TrainOptions {
         TrainOptions {
             steps: self.steps,
@@ -202,7 +203,9 @@ fn misfit(settings: &SegmenterSettings, scans: &[LabelledScan]) -> Option<String
 
 /// A scan where the training is: `(z, y, x)`.
 struct Volume {
+    /// HU, 16-bit integers.
     hounsfield: Tensor,
+    /// Indices of the classes, 8-bit.
     classes: Tensor,
 }
 
@@ -242,6 +245,10 @@ impl Volume {
 
 /// Cross-entropy plus one minus the mean Dice over the classes, of `scores` `(batch, classes, x, y,
 /// z)`.
+///
+/// Dice of a class is `(2 sum p g + 1) / (sum p + sum g + 1)` with probabilities `p` and labels `g`
+/// over the whole batch (Milletari et al. 2016, without squares); the ones keep an absent class
+/// from dividing by zero.
 fn loss(scores: &Tensor, wanted: &Tensor, classes: i64) -> Result<Tensor, TchError> {
     let log = scores
         .f_log_softmax(1, Kind::Float)?

@@ -1,5 +1,9 @@
 //! The steps of a run, whatever the network: batches, optimiser, loss curve, end when the loss is
 //! NaN.
+//!
+//! Nothing of a step is waited for: losses stay on the device until a row of the curve is due, so
+//! that the host prepares the next step meanwhile. That is why a loss that is not finite is noticed
+//! late, and then traced back to its step.
 
 use std::path::PathBuf;
 
@@ -166,7 +170,9 @@ impl Steps<'_> {
 
     /// One step: the loss, its parts and the norm of the gradient, on the device.
     ///
-    /// Its random numbers depend on the seed and the step alone.
+    /// Its random numbers depend on the seed and the step alone. On the CPU operations run one by
+    /// one; on CUDA the whole step, optimiser included, is one unit of work that [`Launch`] may
+    /// capture.
     fn step(
         &self,
         step: u64,

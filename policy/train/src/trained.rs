@@ -175,7 +175,8 @@ impl Trainer {
     }
 }
 
-/// What must be the same in a run that resumes another one's state, as JSON.
+/// What must be the same in a run that resumes another one's state, as JSON. A resumed run compares
+/// it as text, and names the first key that differs.
 fn run_of<S>(
     config: &impl Serialize,
     prepared: &Prepared<'_, S>,

@@ -1,5 +1,8 @@
 //! A dataset as tensors: images once decoded at the network's size, states, and chunks of relative
 //! actions.
+//!
+//! States, chunks and padding of all frames are tensors on the device, a few hundred bytes to
+//! kilobytes a frame; a batch is picked from them by index.
 
 use std::ops::Range;
 
@@ -145,7 +148,7 @@ fn split_at(episodes: usize, validation_share: f64) -> usize {
 /// The actions that belong to one frame.
 #[derive(Debug)]
 pub(super) struct ChunkRow {
-    /// As many a step as there are arms.
+    /// As many a step as there are arms. `[steps, arms, 7]`, in SI units.
     actions: Vec<[f64; RELATIVE_ACTION_DIM]>,
     /// Steps that are not past the end of the episode.
     valid: usize,
@@ -153,6 +156,9 @@ pub(super) struct ChunkRow {
 
 /// The commands of `steps` frames, the first of them `before` frames before `frame`, each arm's
 /// relative to its tip at `frame`; beyond either end of the episode the one there repeats.
+///
+/// Relative to the tip that was observed at `frame`, which is what the policy will know when it
+/// answers.
 pub(super) fn chunk_of(
     dataset: &Dataset,
     episode: &Range<usize>,
@@ -227,6 +233,8 @@ pub(super) fn raw_numbers(
     ))
 }
 
+/// States `(frames, arms * 7)`, chunks `(frames, steps, arms * 7)`, both normalised, and
+/// `(frames, steps)` that is true past the end of the episode; on `device`.
 pub(super) fn numbers(
     dataset: &Dataset,
     rows: &[ChunkRow],

@@ -51,6 +51,7 @@ pub enum Progress {
 }
 
 /// The observer of a run. A function of [`Progress`] is one that never stops it and stores nothing.
+/// All methods are called on the thread that trains, which waits for them.
 pub trait TrainingObserver {
     /// Reports progress.
     fn progress(&mut self, progress: &Progress);

@@ -84,8 +84,8 @@ fn checked(what: &str, code: c_int) -> Result<(), TchError> {
     Err(TchError::Torch(format!("{what} failed with code {code}")))
 }
 
-/// Kernels of the thread's current CUDA device. They stay with it as long as the process lives:
-/// recordings have them.
+/// Kernels of the thread's current CUDA device. They stay with it as long as the process lives,
+/// since captured graphs refer to them.
 #[derive(Debug)]
 pub(super) struct Library {
     /// Each from the first library that has it.
