@@ -2,12 +2,12 @@
 
 use hal::ARM_NAMES;
 
-use super::{ArmFrame, CameraSpec, DatasetError, DatasetSpec};
+use super::{ArmFrame, CameraSpec, DatasetError, DatasetSpec, SIDE_MAX};
 
 /// Only what can be stored and read back.
 ///
-/// Runs before the folder is touched: at least one frame a second, one or two arms, cameras of at
-/// least one pixel whose names differ.
+/// Runs before the folder is touched: at least one frame a second, one or two arms, cameras whose
+/// names differ and whose sides are read back.
 pub(super) fn check_spec(spec: &DatasetSpec) -> Result<(), DatasetError> {
     if spec.fps == 0 {
         return Err(input("fps", "0", "at least 1"));
@@ -29,12 +29,15 @@ pub(super) fn check_spec(spec: &DatasetSpec) -> Result<(), DatasetError> {
 /// Name and size of a camera, whose name none of those `before` has.
 fn check_camera(camera: &CameraSpec, before: &[CameraSpec]) -> Result<(), DatasetError> {
     let what = format!("camera \"{}\"", camera.name);
-    if camera.name.is_empty() || camera.name.contains('/') {
-        return Err(input(&what, "no name for a feature", "a name without '/'"));
+    if camera.name.is_empty() || camera.name.contains(['/', '\\']) {
+        let expected = "a name without '/' and '\\'";
+        return Err(input(&what, "no name for a feature", expected));
     }
-    if camera.width == 0 || camera.height == 0 {
+    let sides = 1..=SIDE_MAX;
+    if !sides.contains(&camera.width) || !sides.contains(&camera.height) {
         let found = format!("{} x {}", camera.width, camera.height);
-        return Err(input(&what, &found, "at least 1 x 1"));
+        let expected = format!("sides of 1 to {SIDE_MAX} pixels");
+        return Err(input(&what, &found, &expected));
     }
     if before.iter().any(|other| other.name == camera.name) {
         return Err(input(&what, "there twice", "there once"));
