@@ -36,8 +36,9 @@ impl Fnv1a {
     }
 }
 
-/// FNV-1a, 64 bits, over the bits of every command: two runs are the same if and only if their
-/// hashes are (but for a collision).
+/// FNV-1a, 64 bits, over the bits of what every command tells the drives: all of it but the
+/// accelerations, which are information. Two runs tell their drives the same if and only if their
+/// hashes are the same (but for a collision).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CommandHash(Fnv1a);
 

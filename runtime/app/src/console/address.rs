@@ -10,10 +10,10 @@ use nix::net::if_::InterfaceFlags;
 use nix::unistd::gethostname;
 use rustls::pki_types::DnsName;
 
-/// The port if none is given.
+/// Address and port if none are given.
 pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8080";
 
-/// The port of Foxglove's own examples.
+/// Loopback, and the port of Foxglove's own examples.
 pub const FOXGLOVE_ADDRESS: &str = "127.0.0.1:8765";
 
 /// An address and a port; port 0 is any that is free. What is not loopback is reached from other

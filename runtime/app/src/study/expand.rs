@@ -124,7 +124,7 @@ impl Expansion<'_> {
                 }
             } else {
                 let policy = self.untrained(&at.network, network)?;
-                let evaluation = self.evaluation(grid, &at, policy)?;
+                let evaluation = self.evaluation_of(grid, &at, policy, None)?;
                 self.entries.push(Entry {
                     grid: grid.name.clone(),
                     at,
@@ -262,16 +262,6 @@ impl Expansion<'_> {
     fn task(&self, name: &str) -> Result<TaskInput, StudyError> {
         let task = self.materials.tasks.get(name).cloned();
         task.ok_or_else(|| self.materials.bad(&format!("task.{name}"), "there is none"))
-    }
-
-    /// That of a policy that was not trained here.
-    fn evaluation(
-        &mut self,
-        grid: &GridSection,
-        at: &Coordinates,
-        policy: PolicyInput,
-    ) -> Result<Address, StudyError> {
-        self.evaluation_of(grid, at, policy, None)
     }
 
     /// The execution mode at a place; only a network has chunks to which it applies.

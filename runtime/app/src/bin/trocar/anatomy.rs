@@ -11,6 +11,7 @@ use trocar_anatomy::build::{LEVELS_MAX, Options, Stage};
 use trocar_anatomy::surface::Method;
 use trocar_anatomy::texture::SIDE_PX;
 
+use crate::args::within;
 use crate::commands::Done;
 use crate::console;
 use crate::segment::{self, SegmentArgs, TrainSegmenterArgs};
@@ -166,13 +167,6 @@ enum Surface {
     Nets,
     /// Marching cubes of each group alone.
     MarchingCubes,
-}
-
-fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
-    match text.parse() {
-        Ok(value) if (low..=high).contains(&value) => Ok(value),
-        _ => Err(format!("expected a number in [{low}, {high}]")),
-    }
 }
 
 fn error_mm(text: &str) -> Result<f64, String> {

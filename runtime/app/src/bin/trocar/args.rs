@@ -39,12 +39,17 @@ pub(crate) fn threads() -> RangedU64ValueParser<usize> {
     RangedU64ValueParser::new().range(1..=1024)
 }
 
+/// A number from `low` to `high`.
+pub(crate) fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if (low..=high).contains(&value) => Ok(value),
+        _ => Err(format!("expected a number in [{low}, {high}]")),
+    }
+}
+
 /// A number from 0 to 1.
 pub(crate) fn share(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
-        _ => Err("expected a number in [0, 1]".to_owned()),
-    }
+    within(text, 0.0, 1.0)
 }
 
 /// A delay in ms.

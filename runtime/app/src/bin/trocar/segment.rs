@@ -11,7 +11,7 @@ use trocar::session::{SessionError, outputs};
 use trocar_nets::segmenter::Weighting;
 use trocar_train::SegmenterTraining;
 
-use crate::args::{ComputeDevice, threads};
+use crate::args::{ComputeDevice, threads, within};
 use crate::commands::{Done, device};
 use crate::console;
 
@@ -114,13 +114,6 @@ pub(crate) struct TrainSegmenterArgs {
     /// Write what came of it as JSON, to standard output if it is `-`; parent folders are made.
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
-}
-
-fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
-    match text.parse() {
-        Ok(value) if (low..=high).contains(&value) => Ok(value),
-        _ => Err(format!("expected a number in [{low}, {high}]")),
-    }
 }
 
 fn overlap(text: &str) -> Result<f64, String> {
