@@ -327,7 +327,8 @@ fn the_page_shows_a_log() {
     assert_eq!(browser.errors, Vec::<String>::new());
 }
 
-/// The log of a run on CAN: how its bus was, and the instruments over the ground.
+/// The log of a run on CAN: how its bus was, what the operator's hand did, without anything to
+/// steer, and the instruments over the ground.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_shows_a_log_of_a_bus() {
@@ -339,10 +340,20 @@ fn the_page_shows_a_log_of_a_bus() {
     browser.look(1280, "light");
     browser.wait_until("document.querySelectorAll('#events button').length > 1");
     let buses = "document.querySelector('#drive-facts').innerText";
-    for (at, said) in [(0.6, "30.0 % busy"), (2.1, "60.0 % busy")] {
+    let hands = "document.querySelector('#hands').textContent";
+    for (at, said, hand) in [
+        (0.6, "30.0 % busy", "psm1 follows the policy"),
+        (1.2, "40.0 % busy", "psm1 follows the hand"),
+        (2.1, "60.0 % busy", "psm1 holds"),
+    ] {
         browser.evaluate(&format!("(() => {{ const at = document.querySelector('#at'); at.value = {at}; at.dispatchEvent(new Event('input')); }})()"));
         browser.wait_until(&format!("{buses}.includes('{said}')"));
+        browser.wait_until(&format!("{hands}.endsWith('{hand}')"));
     }
+    browser.wait_until("document.querySelector('#driver').textContent === 'The operator drives.'");
+    browser.wait_until("document.querySelector('#scale-out').textContent === '50 %'");
+    let clutch = browser.evaluate("document.querySelector('#hold').checkVisibility()");
+    assert_eq!(clutch, false);
     browser.wait_until(&format!("{buses}.includes('2 errors and drops')"));
     let scene = "document.querySelector('#scene-view').dataset";
     browser.wait_until(&format!("Math.abs(Number({scene}.seconds) - 2.1) < 0.1"));

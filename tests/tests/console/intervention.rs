@@ -124,6 +124,31 @@ fn hands_take_over_from_a_policy_and_hand_back() {
     verified(&log);
     let replay = trocar().arg("replay").arg(&log).output().unwrap();
     assert!(replay.status.success(), "{}", tests::stderr(&replay));
+    shows_who_drove(&log);
+}
+
+/// The page of the log has who drove, as it was at each time.
+fn shows_who_drove(log: &Path) {
+    let served = Served::start("intervention-replay", &["replay", log.to_str().unwrap()]);
+    let mut page = Page::open(&served);
+    let facts = page.wait_for("facts", |_| true);
+    let events = facts["events"].as_array().unwrap();
+    let when = |text: &str| {
+        let event = events.iter().find(|event| event["text"] == text);
+        event.unwrap()["seconds"].as_f64().unwrap()
+    };
+    let (taken, back) = (when("the operator drives"), when("the policy drives"));
+    for (at, expected) in [
+        (0.0, "policy"),
+        (taken + 0.15, "operator"),
+        (back + 0.15, "policy"),
+    ] {
+        page.say(&json!({ "at": at }));
+        let state = page.wait_for("state", |state| {
+            (state["seconds"].as_f64().unwrap() - at).abs() < 0.1
+        });
+        assert_eq!(driver(&state), expected, "{state}");
+    }
 }
 
 /// In the browser: the policy begins the episode, a headset's controller takes over and moves the

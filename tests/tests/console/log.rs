@@ -7,7 +7,7 @@ use hal::config::Source;
 use serde_json::{Value, json};
 use tests::trocar;
 use trocar_control::{AnyController, ControlConfig, TickInput};
-use trocar_log::{BusRecord, BusesRecord, Pressure, Recorder, RunLog, TickRecord};
+use trocar_log::{BusRecord, BusesRecord, Level, Pressure, Recorder, RunLog, TickRecord};
 
 use crate::page::{Page, PageEvent};
 use crate::run::{Served, made_log, verified};
@@ -67,8 +67,16 @@ fn a_log_is_looked_through() {
     assert_eq!(served.code(), 0);
 }
 
+/// What an operator's hand did in the run of [`as_if_on_can`], and in which tick.
+const HAND: [(u64, &str); 4] = [
+    (1000, "the scale of the operator's hands is 0.5"),
+    (1000, "psm1: the operator's hand engaged"),
+    (1000, "the operator drives"),
+    (1500, "psm1: the operator released the clutch"),
+];
+
 /// A log at `to` of the run in `log`, as if its arm had been on a CAN bus that got busier every
-/// half second, and nobody had said where the needle was.
+/// half second, an operator had taken over, and nobody had said where the needle was.
 pub(crate) fn as_if_on_can(log: &Path, to: &Path) {
     let read = RunLog::open(log).unwrap();
     let source = |file: &'static str| Source::embedded(file, read.text(file).unwrap());
@@ -90,6 +98,9 @@ pub(crate) fn as_if_on_can(log: &Path, to: &Path) {
             }
         }
         recorder.tick(&TickRecord::new(tick.tick, inputs, outputs, tick.timing));
+        for (_, line) in HAND.iter().filter(|(at, _)| *at == tick.tick) {
+            recorder.event(tick.now, Level::Info, line);
+        }
         let half_seconds = u32::try_from(tick.tick / 500).unwrap();
         if tick.tick.is_multiple_of(500) {
             let bus = BusRecord {
@@ -105,7 +116,8 @@ pub(crate) fn as_if_on_can(log: &Path, to: &Path) {
 }
 
 /// The page on the log of a CAN run says the load and the errors of its bus at each place of the
-/// time line; it has the instruments and the ground, and no needle.
+/// time line, who drove and whether the hand was engaged; it has the instruments and the ground, and
+/// no needle.
 #[test]
 fn a_log_of_a_bus_is_looked_through() {
     let made = made_log("console-log-can-made", "needle-lift");
@@ -121,7 +133,11 @@ fn a_log_of_a_bus_is_looked_through() {
         (&facts["scene"], &facts["depth"]),
         (&json!(true), &json!([]))
     );
-    for (at, load, errors) in [(1.1, 0.4, 1), (0.6, 0.3, 0), (2.1, 0.6, 2)] {
+    for (at, load, errors, driver, engaged) in [
+        (1.1, 0.4, 1, "operator", true),
+        (0.6, 0.3, 0, "policy", false),
+        (2.1, 0.6, 2, "operator", false),
+    ] {
         page.say(&json!({ "at": at }));
         let state = page.wait_for("state", |_| true);
         let [bus] = &state["buses"].as_array().unwrap()[..] else {
@@ -136,6 +152,11 @@ fn a_log_of_a_bus_is_looked_through() {
             "{bus} at {at}"
         );
         assert!(state["criteria"].is_null(), "{state}");
+        let teleop = &state["teleop"];
+        assert_eq!(
+            (&teleop["driver"], &teleop["arms"][0]["engaged"]),
+            (&json!(driver), &json!(engaged))
+        );
     }
     let (host, cookie) = (served.host(), served.cookie());
     let headers = [("Host", host.as_str()), ("Cookie", cookie.as_str())];

@@ -16,6 +16,7 @@ const PHASES = { waiting: "waits for its start", running: "is recorded", writing
 export class Teleop {
   #send;
   #steers = false;
+  #log = false;
   #open = false;
   #status = null;
   #arm = 0;
@@ -59,7 +60,10 @@ export class Teleop {
     setInterval(() => this.#tick(), EVERY_MS);
   }
 
-  facts({ arms, picture }) {
+  facts({ arms, picture, log }) {
+    // Of a log the panel shows what was, and nothing moves.
+    this.#log = Boolean(log);
+    byId("teleop").dataset.log = String(this.#log);
     this.#names = arms;
     this.#picture = picture ?? null;
     this.#choose(Math.min(this.#arm, arms.length - 1));
@@ -84,14 +88,16 @@ export class Teleop {
   state(status) {
     this.#status = status ?? null;
     byId("teleop").hidden = !status;
-    document.body.classList.toggle("by-hand", Boolean(status));
+    document.body.classList.toggle("by-hand", Boolean(status) && !this.#log);
     this.#drag.on = Boolean(status) && this.#steers && !status.desk;
     if (!status) return;
-    if (!this.#dragging) {
+    // A log of before there was a line for it does not say the scale; no log says the alignment.
+    byId("scale-row").hidden = status.scale === null;
+    if (!this.#dragging && status.scale !== null) {
       byId("scale").value = Math.round(status.scale * 100);
       byId("scale-out").textContent = `${Math.round(status.scale * 100)} %`;
     }
-    if (!this.#aligning) {
+    if (!this.#aligning && status.align_deg !== null) {
       byId("align").value = Math.round(status.align_deg);
       byId("align-out").textContent = `${Math.round(status.align_deg)}°`;
     }
@@ -110,7 +116,7 @@ export class Teleop {
 
   /** A line for each arm, with angles in steps of so many degrees. */
   #lines(step_deg = 1) {
-    return (this.#status?.arms ?? []).map((arm, index) => `${this.#names[index] ?? ""} ${word(arm, this.#status, step_deg)}`);
+    return (this.#status?.arms ?? []).map((arm, index) => `${this.#names[index] ?? ""} ${word(arm, this.#status, step_deg, this.#log)}`);
   }
 
   #listen() {
@@ -164,7 +170,7 @@ export class Teleop {
 
   // Keys of the panel's buttons.
   #key(event) {
-    if (event.ctrlKey || event.altKey || event.metaKey || event.repeat || byId("teleop").hidden) return;
+    if (event.ctrlKey || event.altKey || event.metaKey || event.repeat || this.#log || byId("teleop").hidden) return;
     if (takesLetters(event.target)) return;
     const button = document.querySelector(`#teleop button[data-key="${CSS.escape(event.key.toLowerCase())}"]`);
     if (button && canBeClicked(button)) {
@@ -182,7 +188,7 @@ export class Teleop {
   #hidden() {
     if (this.headset.running) return;
     this.#letGo();
-    if (this.#status && !this.#status.desk) this.#send({ hands_off: true });
+    if (this.#status && !this.#status.desk && !this.#log) this.#send({ hands_off: true });
   }
 
   #letGo() {
@@ -293,7 +299,8 @@ export class Teleop {
     byId("hand-back").hidden = line.hidden;
     if (!driver) return;
     line.dataset.driver = driver;
-    const text = driver === "policy" ? "The policy drives. Hold the clutch to take over." : "You drive. The arms hold when you let go.";
+    const live = driver === "policy" ? "The policy drives. Hold the clutch to take over." : "You drive. The arms hold when you let go.";
+    const text = this.#log ? `The ${driver} drives.` : live;
     if (line.textContent !== text) line.textContent = text;
     byId("hand-back").disabled = !this.#open || !this.#steers || driver === "policy";
     // Beside a policy the keys are out of the way until they are wanted.
@@ -334,14 +341,15 @@ function said() {
 
 const canBeClicked = (button) => !button.disabled && !button.closest("[hidden]");
 
-function word(arm, { driver, align_deg }, step_deg) {
+function word(arm, { driver, align_deg }, step_deg, log) {
   if (driver === "policy" && !arm.engaged) return "follows the policy";
   if (arm.engaged) return "follows the hand";
   if (arm.misaligned_deg !== null) {
     const off = Math.ceil(arm.misaligned_deg / step_deg) * step_deg;
     return `holds: the controller is ${off}° off the instrument; turn it within ${align_deg}°`;
   }
-  return arm.lost ? `holds: ${arm.lost}; let go, then hold again` : "holds";
+  if (!arm.lost) return "holds";
+  return log ? `holds: ${arm.lost}` : `holds: ${arm.lost}; let go, then hold again`;
 }
 
 function devices(pads, cap) {
