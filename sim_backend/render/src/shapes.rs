@@ -2,6 +2,11 @@
 //!
 //! All in metres, with outward counter-clockwise triangles; see [`instrument`] for the parts of the
 //! arm's tool.
+//!
+//! Vertices are shared where a surface is smooth and double where it has an edge, since normals are
+//! theirs. `segments` is how many pieces a full turn is cut into; meshes of fewer than three are
+//! flat. Triangles without area, as at poles, are taken out; meshes are not welded, so they look
+//! closed and need not be watertight.
 
 pub mod instrument;
 
@@ -12,6 +17,9 @@ use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
 /// Adds rows of equal length, joined by quads. `u` runs along a row, `v` over the rows; outside is
 /// where `u x v` points.
+///
+/// Each vertex is added once; neighbouring quads of a sheet share them. Rows of different lengths
+/// are joined as far as the shorter one goes.
 fn sheet(mesh: &mut Mesh, rows: &[Vec<(Point3<f64>, Vector3<f64>)>]) {
     let mut before: Vec<u32> = Vec::new();
     for row in rows {
@@ -31,6 +39,9 @@ fn sheet(mesh: &mut Mesh, rows: &[Vec<(Point3<f64>, Vector3<f64>)>]) {
 
 /// A smooth sheet through rows of points, all of one length; outside is where `u x v` points, with
 /// `u` along a row and `v` over the rows.
+///
+/// Normals are by central differences, one-sided at the rims; +z where the points give none. Panics
+/// if a row is shorter than one beside it.
 #[must_use]
 pub fn smooth_sheet(rows: &[Vec<Point3<f64>>]) -> Mesh {
     let rate = |row: usize, point: usize, along_row: bool| {
@@ -64,6 +75,8 @@ pub fn smooth_sheet(rows: &[Vec<Point3<f64>>]) -> Mesh {
 }
 
 /// `mesh` moved by `pose`, in the frame that `pose` is in.
+///
+/// Through double precision. `pose` is rigid, so normals stay of length 1.
 #[must_use]
 #[expect(
     clippy::cast_possible_truncation,
@@ -93,6 +106,7 @@ pub fn cuboid(half_extents_m: Vector3<f64>) -> Mesh {
     )
 }
 
+/// A corner of the box: `x` and `y` are -1 or 1, `z` too.
 fn corner(h: Vector3<f64>, x: i32, y: i32, z: f64) -> Point3<f64> {
     Point3::new(f64::from(x) * h.x, f64::from(y) * h.y, z * h.z)
 }
@@ -113,6 +127,9 @@ pub fn cylinder(radius_m: f64, z_from_m: f64, z_to_m: f64, segments: u32) -> Mes
 
 /// A solid of revolution about z with sharp edges, from a profile of `[radius, z]` points that goes
 /// from the lower end of the axis to the upper one.
+///
+/// Each segment of the profile has vertices of its own, so every ring is an edge; many short
+/// segments look round. A profile that goes down instead of up has its inside out.
 #[must_use]
 pub fn revolved(profile_m: &[[f64; 2]], segments: u32) -> Mesh {
     let mut mesh = Mesh::default();
@@ -147,6 +164,8 @@ pub fn capsule(radius_m: f64, z_from_m: f64, z_to_m: f64, segments: u32) -> Mesh
 }
 
 /// A ball about the origin.
+///
+/// Poles on z; half as many rings as segments.
 #[must_use]
 pub fn sphere(radius_m: f64, segments: u32) -> Mesh {
     let rings = segments.div_ceil(2);
@@ -167,6 +186,10 @@ pub fn sphere(radius_m: f64, segments: u32) -> Mesh {
 ///
 /// Fewer radii than points: the last one holds on. Fewer than two distinct points make an empty
 /// mesh.
+///
+/// Six rows close the ends, three each. The cross-section is carried along by the smallest
+/// rotations (a rotation-minimising frame), and is perpendicular to the chord between the
+/// neighbours of a point.
 #[must_use]
 pub fn tube(points_m: &[Point3<f64>], radii_m: &[f64], segments: u32) -> Mesh {
     let mut line: Vec<Point3<f64>> = points_m.to_vec();
@@ -229,6 +252,8 @@ pub fn tube(points_m: &[Point3<f64>], radii_m: &[f64], segments: u32) -> Mesh {
 }
 
 /// A circle about `along`, `rise` radii ahead of `centre` and `width` radii wide.
+///
+/// On the half spheres `rise` and `width` are cosine and sine of one angle; along the tube 0 and 1.
 fn ring(
     centre: &Point3<f64>,
     along: Vector3<f64>,
@@ -248,6 +273,8 @@ fn ring(
 }
 
 /// Points of an arc about z in the xy plane, from `from_rad` to `to_rad`, both included.
+///
+/// `steps + 1` points; one, at the start, if `steps` is 0.
 #[must_use]
 pub fn arc(radius_m: f64, from_rad: f64, to_rad: f64, steps: u32) -> Vec<Point3<f64>> {
     (0..=steps)
@@ -262,6 +289,9 @@ pub fn arc(radius_m: f64, from_rad: f64, to_rad: f64, steps: u32) -> Vec<Point3<
 
 /// The surface `z = height(x, y)` over a rectangle about the origin, facing up, of `2 * cells^2`
 /// triangles.
+///
+/// Normals are by central differences over a thousandth of the shorter half side, so `height_m` is
+/// asked a little beyond the rectangle too.
 #[must_use]
 pub fn height_field(
     half_x_m: f64,
@@ -292,6 +322,8 @@ pub fn height_field(
 }
 
 /// Cosine and sine once around, the first point again at the end.
+///
+/// The last is the first bit by bit, so that seams close.
 fn around(segments: u32) -> impl Iterator<Item = (f64, f64)> {
     (0..=segments).map(move |step| {
         let (s, c) =

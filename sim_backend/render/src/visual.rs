@@ -1,9 +1,16 @@
 //! What the renderer draws: triangle meshes with a material and an instance id, placed by poses.
+//!
+//! Everything is given once, when a renderer is made; afterwards only poses, vertices
+//! ([`crate::Renderer::reshape`]) and tints change. Colours are linear RGB with the primaries of
+//! sRGB; the shader encodes them at the very end.
 
 use hal::{Mesh, Pose};
 
 /// Instance ids that scenes of several kinds use; 0 is background. Those of one kind alone lie in
 /// its module.
+///
+/// They are the values of the id plane, one byte a pixel, and of recorded segmentation: so a number
+/// keeps its meaning from recording to recording.
 pub mod instance {
     /// The organ or board that the task happens on.
     pub const ORGAN: u8 = 1;
@@ -30,13 +37,15 @@ pub mod instance {
 }
 
 /// What an instance id means to people.
+///
+/// For legends and for pictures of the id plane; the renderer does not use it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Part {
     /// The id.
     pub instance: u8,
     /// The name.
     pub name: &'static str,
-    /// A colour for pictures of ids, RGB.
+    /// A colour for pictures of ids, sRGB bytes.
     pub colour: [u8; 3],
 }
 
@@ -68,17 +77,25 @@ pub const PARTS: [Part; 11] = [
 ];
 
 /// How a surface answers light.
+///
+/// The model is the metallic-roughness one of glTF with a clear film: diffuse light that wraps
+/// around tissue, a GGX lobe of the body, a second one of the film. `light.wgsl` has the equations.
+/// Values outside of the ranges are not refused.
 #[derive(Clone, Copy, Debug)]
 pub struct Material {
-    /// Linear RGB.
+    /// Linear RGB in [0, 1]: the diffuse albedo of a dielectric, the reflectance of a metal seen
+    /// straight on. Patterns are painted about it.
     pub base_colour: [f32; 3],
-    /// 0 dielectric, 1 metal.
+    /// 0 dielectric (4 % at normal incidence), 1 metal. Patterned surfaces are dielectrics whatever
+    /// stands here.
     pub metallic: f32,
-    /// Perceptual roughness, 0 to 1.
+    /// Perceptual roughness, 0 to 1; its square is GGX's alpha. Full shading takes 0.08 at least.
     pub roughness: f32,
-    /// Strength of a thin wet film, 0 to 1.
+    /// Strength of a thin wet film, 0 to 1. On patterned surfaces it also says how much they are
+    /// flesh, which light gets under: all of it from 0.5 on.
     pub wetness: f32,
-    /// Amount of the pattern's relief, 0 to 1.
+    /// Amount of the pattern's relief, 0 to 1: a factor of its slopes. Without relief in plain
+    /// shading.
     pub detail: f32,
     /// What is painted on it.
     pub pattern: Pattern,
@@ -86,6 +103,9 @@ pub struct Material {
 
 /// What is painted on a surface, and with which relief. It sticks to the surface as it was when it
 /// was uploaded.
+///
+/// Smooth and brushed surfaces are computed for each pixel. All others are painted once into a
+/// square of 0.18 m, a layer each, and mirrored beyond it (`bake.wgsl`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pattern {
     /// One even colour.
@@ -110,18 +130,23 @@ pub enum Pattern {
 
 /// What is behind all things: a floor and, around it, the wall of a cavity. It has no instance id
 /// and no depth.
+///
+/// The wall is an ellipsoid of 0.26 x 0.24 x 0.20 m half axes about (0, 0, 0.03) m of the scene,
+/// found by formula for each pixel that nothing else covers. It casts no shadow, but takes those of
+/// the scene.
 #[derive(Clone, Copy, Debug)]
 pub struct Backdrop {
     /// Height of the floor in the scene frame, m.
     pub floor_m: f64,
     /// Surface of floor and wall, with a painted pattern.
     pub material: Material,
-    /// How much of the light that falls on the wall it throws back, compared to the floor.
+    /// Factor of the wall's colour, the floor having 1; the square of it is the factor of its film.
     pub walls: f32,
     /// Linear RGB of what metal mirrors from below: the colour that prevails in the scene.
     pub bounce: [f32; 3],
     /// By how much longer a camera that looks across the endoscope's light is exposed in pictures
-    /// for people.
+    /// for people. The renderer does not read it: whoever places such a camera puts it into
+    /// [`crate::Optics::exposure`].
     pub across: f64,
 }
 
@@ -163,15 +188,19 @@ impl Backdrop {
 }
 
 /// One thing to draw.
+///
+/// Two visuals may share an id; each is still placed by a pose of its own. Meshes are copied to the
+/// device, and kept here until fine shading has baked them.
 #[derive(Clone, Debug)]
 pub struct Visual {
     /// What it is, for people.
     pub name: &'static str,
-    /// Its shape.
+    /// Its shape, m, in its own frame; triangles are seen from their counter-clockwise side only.
+    /// The renderer refuses lists of normals and indices that do not fit.
     pub mesh: Mesh,
     /// Its surface.
     pub material: Material,
-    /// Its id in segmentation images.
+    /// Its id in segmentation images, see [`instance`]; 0 would make it background.
     pub instance: u8,
     /// Whether it stands where its mesh has it, in one frame with all others that do, in every
     /// picture. Finely shaded, these keep the light from all around off each other.
@@ -210,5 +239,5 @@ impl Visual {
     }
 }
 
-/// Poses of a scene's visuals in the scene frame, in the visuals' order.
+/// Poses of a scene's visuals in the scene frame, m, in the visuals' order, one each.
 pub type VisualPoses = Vec<Pose>;

@@ -4,6 +4,15 @@
 //! Painting costs as much as some frames, so the patterns may be as rich as they like; reading them
 //! costs the same for every pattern, and their coarser levels keep what is finer than a pixel from
 //! flickering.
+//!
+//! A layer has two images with 8 levels each: albedo in sRGB bytes with openness in alpha, and
+//! relief, of which red and green are the slopes of the flesh along u and v and blue and alpha
+//! those of the film, each stored as `0.5 + 0.5 * slope`. Three kinds of passes make it: `look`
+//! paints colours and heights, `slope` differentiates the heights, `halve` makes each level from
+//! the one before.
+//!
+//! Surfaces with the same pattern, colour, place and size share a layer. Bind group 0 is the
+//! paint's record, group 1 the two images that the step before has made.
 
 use std::collections::BTreeMap;
 
@@ -25,14 +34,20 @@ const PATTERN_PX: u32 = 1024;
 /// Levels down to 8 texels.
 const LEVELS: u32 = 8;
 
+/// Decoded by the sampler, so that levels and filtering are in linear light.
 const ALBEDO_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
+/// Eight bits a slope: steps of 0.008.
 const RELIEF_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+/// Heights of flesh and film, mm; only while a layer is painted.
 const HEIGHT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
 
 /// All painted patterns of a scene, a layer each.
 pub(super) struct Paints {
+    /// Read as binding 2 of the maps.
     albedo: wgpu::Texture,
+    /// Read as binding 3 of the maps.
     relief: wgpu::Texture,
+    /// What each layer shows, in their order.
     painted: Vec<Painted>,
 }
 
@@ -46,9 +61,11 @@ struct Painted {
 #[derive(Clone, Copy)]
 pub(super) struct Wanted {
     pattern: Pattern,
+    /// Linear RGB, which the pattern varies about.
     base_colour: [f32; 3],
     /// Where its middle is, see [`Visual::pattern_at_mm`].
     at_mm: [f32; 2],
+    /// Side of the square, m.
     size_m: f32,
 }
 
@@ -66,6 +83,7 @@ impl Wanted {
         Self::middle(&backdrop.material, BACKDROP_SIZE_M)
     }
 
+    /// The square about the middle of a material's pattern.
     const fn middle(material: &Material, size_m: f32) -> Self {
         Self {
             pattern: material.pattern,
@@ -105,6 +123,7 @@ impl Paints {
         paints
     }
 
+    /// One submission for all layers; pipelines of patterns are compiled when they are first met.
     fn paint(&self, device: &wgpu::Device, queue: &wgpu::Queue) {
         let painter = Painter::new(device);
         let mut looks: BTreeMap<u32, wgpu::RenderPipeline> = BTreeMap::new();
@@ -131,6 +150,9 @@ impl Paints {
     }
 
     /// The layer in which `wanted` was painted; 0 if it has no pattern.
+    ///
+    /// As a number for the object record, where all is in floats. Panics if `wanted` was not among
+    /// the squares, which is a mistake of the renderer.
     #[expect(
         clippy::cast_precision_loss,
         reason = "a scene has a handful of layers"
@@ -161,6 +183,7 @@ fn key(wanted: &Wanted) -> Option<Key> {
     Some((pattern, colour, at, wanted.size_m.to_bits()))
 }
 
+/// An image with a layer a pattern, and one at least.
 fn layered(
     device: &wgpu::Device,
     label: &str,
@@ -186,10 +209,15 @@ fn layered(
 /// The passes that paint one layer.
 struct Painter<'a> {
     device: &'a wgpu::Device,
+    /// Noise and patterns.
     module: wgpu::ShaderModule,
+    /// Of group 0.
     paint_layout: wgpu::BindGroupLayout,
+    /// Of group 1.
     source_layout: wgpu::BindGroupLayout,
+    /// From heights to slopes.
     slope: wgpu::RenderPipeline,
+    /// From a level to the next.
     halve: wgpu::RenderPipeline,
 }
 
@@ -274,6 +302,8 @@ impl<'a> Painter<'a> {
         }
     }
 
+    /// 32 bytes: colour and a 1, side in texels and in mm, middle in mm; see `Paint` in
+    /// `bake.wgsl`.
     fn paint_record(&self, painted: &Painted) -> wgpu::BindGroup {
         let wanted = &painted.wanted;
         let colour = wanted.base_colour.iter();
@@ -300,6 +330,7 @@ impl<'a> Painter<'a> {
         })
     }
 
+    /// Draws one triangle over `to` with `from` to read.
     fn pass(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -339,6 +370,7 @@ impl<'a> Painter<'a> {
     }
 }
 
+/// One level of one layer, to draw into or read.
 fn level_of(image: &wgpu::Texture, layer: u32, level: u32) -> wgpu::TextureView {
     image.create_view(&wgpu::TextureViewDescriptor {
         dimension: Some(wgpu::TextureViewDimension::D2),
@@ -350,6 +382,7 @@ fn level_of(image: &wgpu::Texture, layer: u32, level: u32) -> wgpu::TextureView 
     })
 }
 
+/// Bindings for the fragment stage.
 fn layout(device: &wgpu::Device, bindings: &[(u32, wgpu::BindingType)]) -> wgpu::BindGroupLayout {
     let entries: Vec<_> = bindings
         .iter()
@@ -366,6 +399,7 @@ fn layout(device: &wgpu::Device, bindings: &[(u32, wgpu::BindingType)]) -> wgpu:
     })
 }
 
+/// A pass without a mesh that writes albedo and one image more, of the format `relief`.
 fn pipeline(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,

@@ -1,4 +1,7 @@
 //! Why there is no image.
+//!
+//! Errors of opening name what to install or set; those of an image are the caller's numbers,
+//! except [`RenderError::Gpu`].
 
 /// Why there is no image.
 #[derive(Debug, thiserror::Error)]

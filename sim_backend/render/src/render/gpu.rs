@@ -1,5 +1,10 @@
 //! The Vulkan device that draws: found without a window, silent, and never panicking on its own
 //! errors.
+//!
+//! wgpu reports errors of validation and memory to a callback rather than to the call that made
+//! them; here the callback keeps the first, and every wait looks at it. No surface and no display
+//! is involved. Limits are those of the downlevel defaults with the adapter's resolution, so that
+//! software rasterisers qualify.
 
 use core::future::Future;
 use core::pin::pin;
@@ -11,10 +16,15 @@ use super::RenderError;
 
 /// An opened device and the first error it reported by itself.
 pub(super) struct Gpu {
+    /// Makes buffers, textures and pipelines.
     pub(super) device: wgpu::Device,
+    /// Takes writes and submissions, in order.
     pub(super) queue: wgpu::Queue,
+    /// Adapter and driver, for people.
     pub(super) name: String,
+    /// Longest side of an image, pixels.
     pub(super) size_px_max: u32,
+    /// The first report since the last [`Self::check`]; later ones are its consequences.
     error: Arc<Mutex<Option<String>>>,
 }
 
@@ -95,6 +105,7 @@ impl Gpu {
         })
     }
 
+    /// Drives the device's callbacks on this thread, then looks at its errors.
     fn poll(&self, what: wgpu::PollType) -> Result<(), RenderError> {
         self.device
             .poll(what)
@@ -111,6 +122,7 @@ fn turn() -> usize {
     process.wrapping_add(RENDERERS.fetch_add(1, Ordering::Relaxed))
 }
 
+/// Lower is better. Adapters of one kind stay in the order in which the loader lists them.
 const fn preference(kind: wgpu::DeviceType) -> u8 {
     match kind {
         wgpu::DeviceType::DiscreteGpu => 0,

@@ -1,5 +1,14 @@
 //! The pass from the image of a pinhole to the picture of a lens and a sensor. A camera that has
 //! neither distortion nor [`Optics`](super::Optics) goes without it.
+//!
+//! Colour, ids and range of a pinhole are drawn into a larger image, the window; for each pixel of
+//! the picture the shader finds the ray that the lens sends there, by eight steps of Newton's
+//! method on the Brown-Conrady model ([`hal::Distortion`]), and reads the window where that ray
+//! falls: colour from four texels, ids and range from the nearest one. So ids are never mixed, and
+//! depth never lies between a thing and what is behind it.
+//!
+//! Its bind group 0: 0 the lens' record, 1 colour, 2 ids, 3 range, all read by texel without a
+//! sampler.
 
 use hal::Intrinsics;
 
@@ -7,7 +16,9 @@ use super::records::{put, put_f64};
 use super::textures::{COLOUR_FORMAT, INSTANCE_FORMAT, RANGE_FORMAT, texture, whole};
 use super::{Camera, RenderError};
 
-/// Bytes of a lens' record, see `lens.wgsl`.
+/// Bytes of a lens' record, see `lens.wgsl`: focal lengths and centre (16), distortion (16), margin
+/// and size (16), two flags (8), seven numbers of the optics (28), seed and moment (8), padding
+/// (4).
 const RECORD_BYTES: u64 = 96;
 
 /// The image of the pinhole that a lens' picture is made from: the same focal lengths, but as large
@@ -22,6 +33,9 @@ pub(super) struct Window {
 
 impl Window {
     /// The window of `lens`, with a pixel more on each side for the colour's blending.
+    ///
+    /// # Errors A distortion under which two rays of the picture fall at one place, and one whose
+    /// window is wider or higher than twice the picture or the device's limit.
     pub(super) fn of(lens: &Intrinsics, size_px_max: u32) -> Result<Self, RenderError> {
         if lens.distortion.is_none() {
             return Ok(Self {
@@ -75,20 +89,26 @@ fn pixels(size: f64) -> u32 {
 
 /// The pass itself, for all cameras.
 pub(super) struct LensPass {
+    /// Of bind group 0.
     layout: wgpu::BindGroupLayout,
+    /// One triangle over the picture, with three targets.
     pipeline: wgpu::RenderPipeline,
 }
 
 /// What one camera's lens reads: the pinhole's image and its record.
 pub(super) struct Lens {
+    /// What the pinhole shows.
     pub(super) window: Window,
     /// Colour, ids and range.
     pub(super) seen: [wgpu::TextureView; 3],
+    /// Written anew for each image.
     record: wgpu::Buffer,
+    /// The record and the three images, bound.
     group: wgpu::BindGroup,
 }
 
 impl LensPass {
+    /// Compiles the shader: made when a camera first has a lens, and kept.
     pub(super) fn new(device: &wgpu::Device) -> Self {
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("lens"),
@@ -203,6 +223,7 @@ impl Lens {
     }
 }
 
+/// Appends whole numbers as the device reads them.
 fn put_u32(bytes: &mut Vec<u8>, values: &[u32]) {
     bytes.extend(values.iter().flat_map(|value| value.to_ne_bytes()));
 }

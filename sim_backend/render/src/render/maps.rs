@@ -1,8 +1,12 @@
 //! The images that the colour pass reads: shadow map and painted patterns.
+//!
+//! Bind group 1 of the colour pass: 0 shadow map (depth), 1 sampler that compares, 2 albedo and 3
+//! relief (arrays with a layer a pattern), 4 sampler that filters. Made once a renderer; the
+//! patterns do not change and the shadow map is drawn over.
 
 use super::bake::Paints;
 
-/// How they are bound.
+/// How they are bound; the fragment stage alone reads them.
 pub(super) fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
         binding,
@@ -35,6 +39,9 @@ pub(super) fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
 }
 
 /// The shadow map and the patterns, bound.
+///
+/// The shadow sampler blends four comparisons (percentage-closer filtering) and clamps at the rim;
+/// the patterns' is trilinear and mirrors beyond the painted square.
 pub(super) fn group(
     device: &wgpu::Device,
     layout: &wgpu::BindGroupLayout,

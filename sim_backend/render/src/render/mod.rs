@@ -6,6 +6,15 @@
 //! depth come from a pass of their own, with one sample a pixel, so that no way of shading touches
 //! them. What surfaces look like is in `bake.wgsl` (patterns, painted once), `surface.wgsl` and
 //! `light.wgsl`. On one device and driver the same inputs give the same bytes.
+//!
+//! Way of an image: `station` finds targets and records for the camera, `scene` writes the records
+//! and orders the draws, `pipelines` encodes the passes (shadow map, labels, colour), `lens` adds a
+//! pass where there is distortion or dirt, `targets` copies all planes into one staging buffer and
+//! unpacks it. Several cameras are submitted before the first is waited for.
+//!
+//! Bind groups: 0 is the frame's record and, at a dynamic offset, the object's (`records`); 1 is
+//! shadow map and patterns (`maps`). The lens pass and the painting of patterns (`bake`) have
+//! layouts of their own.
 
 mod bake;
 mod camera;
@@ -45,17 +54,22 @@ use station::{Plot, Station, Stations};
 static OPENING: Mutex<()> = Mutex::new(());
 
 /// The buffers of one image.
+///
+/// Row-major from the top left, without padding: `width * height` pixels in each. What is in them
+/// before does not matter.
 #[derive(Debug)]
 pub struct Planes<'a> {
-    /// sRGB bytes, 3 a pixel.
+    /// sRGB bytes, 3 a pixel: red, green, blue.
     pub colour: &'a mut [u8],
-    /// Distance along the camera's z axis, metres; 0 where nothing was hit.
+    /// Distance along the camera's z axis, metres; 0 where nothing was hit. Not the length of the
+    /// ray. Behind a lens that distorts z is still that of the pinhole camera.
     pub depth_m: &'a mut [f32],
     /// Instance id of what was hit; 0 is background.
     pub instance: &'a mut [u8],
 }
 
 impl Planes<'_> {
+    /// Whether the buffers are of the size that `intrinsics` say.
     fn check(&self, intrinsics: &Intrinsics) -> Result<(), RenderError> {
         let pixels = intrinsics.pixel_count();
         if (self.colour.len(), self.depth_m.len(), self.instance.len())
@@ -90,15 +104,27 @@ impl Shading {
 }
 
 /// Draws one fixed set of visuals, which may move and bend, from any number of cameras.
+///
+/// Owns its device. Every image takes `&mut self`; for images in parallel a process opens several.
+/// Opening one compiles shaders and paints patterns, so it is kept for a whole run.
 pub struct Renderer {
+    /// The device, its queue and its first uncollected error.
     gpu: Gpu,
+    /// Meshes on the device, and the order of drawing of the last eye.
     scene: Scene,
+    /// Passes for the present shading.
     pipelines: Pipelines,
+    /// Records of the shadow map's eye.
     light: Records,
+    /// Targets of earlier images, used again.
     stations: Stations,
+    /// Made when the first camera needs it.
     lens_pass: Option<LensPass>,
+    /// What is behind, as it was given.
     backdrop: Backdrop,
+    /// The layer of the patterns that the backdrop was painted in.
     backdrop_layer: f32,
+    /// How colours are made now.
     shading: Shading,
 }
 
@@ -155,6 +181,9 @@ impl Renderer {
     }
 
     /// Chooses how much work goes into the colours of the following images.
+    ///
+    /// Compiles the colour pipelines anew, and bakes the scene the first time that shading is fine;
+    /// nothing if it is the shading already. Targets of the old shading are kept for a while.
     pub fn set_shading(&mut self, shading: Shading) {
         if self.shading != shading {
             self.shading = shading;
@@ -168,6 +197,9 @@ impl Renderer {
 
     /// Bends the visual `index`: its vertices go to where `mesh` has them, for all following
     /// images. The triangles stay what they were; those of `mesh` are not looked at.
+    ///
+    /// Takes effect with the next image. Painted patterns stick to the vertices as they were
+    /// uploaded; what was baked for fine shading stays as it was.
     ///
     /// # Errors
     /// No such visual, or another number of vertices.
@@ -186,6 +218,9 @@ impl Renderer {
     /// Fills colour, depth, ids, intrinsics and camera pose of `frame` and resizes its buffers if
     /// they do not fit; stamp and sequence stay the caller's. After an error the frame's content is
     /// unspecified.
+    ///
+    /// One submission and one wait; allocates a handful of small lists, and whatever the frame
+    /// lacks. The thread blocks until the device is done.
     ///
     /// # Errors
     /// An image size, camera, light or number of poses that can't be, or a failing device.
@@ -281,6 +316,9 @@ impl Renderer {
 
     /// Begins the image of one camera at its station; the first one's submission draws the shadow
     /// map for all.
+    ///
+    /// The order of the passes matters: with one sample a pixel colour is drawn on the labels'
+    /// depth. The camera that is drawn may be wider than the one asked for, see `lens`.
     fn submit(
         &mut self,
         poses: &[Pose],

@@ -1,5 +1,14 @@
 //! How open surfaces are to the light from all around, and how much light comes through them: baked
 //! by rays, a vertex at a time.
+//!
+//! Openness is the cosine-weighted share of the half sphere that is not hidden, where something at
+//! the distance `d` hides `1 - d / REACH_M` of its ray (ambient obscurance). Rays are drawn from
+//! the cosine's density, so their plain mean is that integral. What comes through is the mean of
+//! `exp(-d / SEEPS_M)` over rays into the surface (Beer and Lambert), `d` being the way to the far
+//! side.
+//!
+//! No random numbers: directions are a Fibonacci spiral, the same at each vertex, so the same
+//! meshes give the same bytes on however many processors.
 
 use hal::Mesh;
 use nalgebra::Vector3;
@@ -17,14 +26,21 @@ const REACH_M: f32 = 0.012;
 const SEEPS_M: f32 = 0.002;
 
 /// From where on rays look for what is in their way, m.
+///
+/// Beyond the rounding of single precision in a scene of decimetres, so that a ray does not meet
+/// its own surface.
 const START_M: f32 = 2e-5;
 
-/// Rays a vertex that look outwards, if there are not too many vertices, and inwards.
+/// Rays a vertex that look outwards, if there are not too many vertices.
 const OUTWARDS: u16 = 64;
+/// The same at least, however many vertices there are.
 const LEAST: usize = 16;
+/// Rays a vertex that look inwards.
 const INWARDS: u16 = 12;
 
 /// Most rays of a scene, but for the least of each vertex.
+///
+/// It bounds the time of baking.
 const RAYS_MAX: usize = 6_000_000;
 
 /// What is baked into one vertex.
@@ -68,6 +84,8 @@ pub(super) fn bake(visuals: &[Visual]) -> Vec<Baked> {
 }
 
 /// `of` each vertex of `mesh`, on all processors.
+///
+/// Chunks of at least 256 vertices go to scoped threads; each writes its own part of the result.
 fn shared(mesh: &Mesh, of: &(dyn Fn(&Vec3, &Vec3) -> Baked + Sync)) -> Vec<Baked> {
     let vertices: Vec<[Vec3; 2]> = mesh
         .positions
@@ -116,6 +134,9 @@ fn through(alone: &Rays, from: &Vec3, normal: &Vec3) -> f32 {
 }
 
 /// Two unit vectors across `axis` and each other (Duff et al., 2017).
+///
+/// Without a branch on the direction and without a square root; right for every unit vector, -z
+/// too.
 fn across(axis: &Vec3) -> [Vec3; 2] {
     let sign = 1.0_f32.copysign(axis.z);
     let a = -1.0 / (sign + axis.z);
@@ -128,6 +149,10 @@ fn across(axis: &Vec3) -> [Vec3; 2] {
 
 /// Ray `index` of `count` about `axis`: a spiral over the disc of `radius` below the half sphere,
 /// so that each stands for the same share of a cosine's light.
+///
+/// By Malley's method: even points of the disc, lifted to the half sphere, have the cosine's
+/// density. 2.4 rad, the golden angle, is the turn from one to the next. `radius` below 1 makes a
+/// cone of the same kind.
 fn lobe(index: u16, count: u16, radius: f32, axis: &Vec3, [u, v]: &[Vec3; 2]) -> Vec3 {
     let share = (f32::from(index) + 0.5) / f32::from(count);
     let (sin, cos) = (2.399_963_2 * f32::from(index)).sin_cos();

@@ -1,4 +1,10 @@
 //! What lies between a scene and its picture besides the lens' geometry.
+//!
+//! In the order in which light meets them: smoke, condensate, blood, vignette, noise (`lens.wgsl`).
+//! All are applied in linear light, before the filmic response and sRGB; the lens pass undoes both
+//! on the image that it reads. Exposure is a factor of the light in the colour pass already. Noise
+//! is a sum of random bytes that is nearly normal, from a hash of pixel, seed and moment (Jarzynski
+//! and Olano, 2020).
 
 /// What dims, veils and roughens a picture on its way through lens and sensor. Colour alone shows
 /// it: ids and depth are those of the clean picture. The same numbers give the same bytes on one
@@ -6,14 +12,15 @@
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Optics {
     /// Share of the light that is lost in the corner that is furthest from the principal point, 0
-    /// to 1; it grows with the square of the distance.
+    /// to 1: at the distance `r` the factor is `1 - vignette * (r / r_corner)^2`.
     pub vignette: f64,
     /// Factor of the light that the sensor collects, above 0.
     pub exposure: f64,
-    /// Standard deviation that the photons of a brightness of 1 make, of that brightness; it grows
-    /// with the root. From 0.
+    /// Standard deviation that the photons of a brightness of 1 make, of that brightness; at `b` it
+    /// is `shot_noise * sqrt(b)`, from 8 on that of 8. 0 to 1000.
     pub shot_noise: f64,
-    /// Standard deviation of the sensor in the dark, in the same brightness. From 0.
+    /// Standard deviation of the sensor in the dark, in the same brightness; it adds to the other
+    /// in squares. 0 to 1000.
     pub read_noise: f64,
     /// Share of the light that electrosurgical smoke takes and scatters on a short way, of the way
     /// in metres, 1/m; in plumes, so from a fifth to nearly twice as much. From 0.
@@ -25,6 +32,9 @@ pub struct Optics {
     /// Chooses where spots are and how smoke, condensate and noise look.
     pub seed: u32,
     /// When the image is taken, ms: smoke drifts with it, and noise is another one in each image.
+    ///
+    /// It wraps without harm for noise; smoke starts again after 2^24 ms, some four and a half
+    /// hours.
     pub moment: u32,
 }
 
@@ -43,6 +53,8 @@ impl Optics {
     };
 
     /// Whether the picture is what it would be without them.
+    ///
+    /// `seed` and `moment` do not count.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         let Self { seed, moment, .. } = *self;

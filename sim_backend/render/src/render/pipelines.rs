@@ -1,4 +1,10 @@
 //! The passes: shadow map from the light, then ids and range, then colour from the camera.
+//!
+//! All scene shaders are one module of five files, joined as text; entry points choose the pass.
+//! Shadow and labels bind group 0 alone and take one sample; colour binds the maps too. Front faces
+//! are counter-clockwise; back faces are culled but in the shadow map, so that open sheets cast
+//! shadows whichever side the light is on. Changing the shading makes new colour pipelines, for it
+//! is in their constants, vertex layout and sample count.
 
 use super::bake::{BACKDROP_SIZE_M, PATTERN_SIZE_M, Paints};
 use super::camera::{SHADOW_FAR_M, SHADOW_NEAR_M};
@@ -14,25 +20,38 @@ pub(super) const SHADOW_MAP_PX: u32 = 1024;
 
 /// Pipelines and what they bind.
 pub(super) struct Pipelines {
+    /// Layout of group 0, for whoever makes records.
     pub(super) records: wgpu::BindGroupLayout,
+    /// Depth alone, from the light.
     shadow: wgpu::RenderPipeline,
+    /// Ids and range, from a camera.
     label: wgpu::RenderPipeline,
+    /// Colour, from a camera.
     colours: Colours,
+    /// Group 1.
     maps: wgpu::BindGroup,
+    /// The shadow map, to draw into.
     shadow_view: wgpu::TextureView,
+    /// Kept for pipelines of another shading.
     module: wgpu::ShaderModule,
+    /// Groups 0 and 1.
     colour_layout: wgpu::PipelineLayout,
 }
 
 /// The pipelines of the colour pass.
 struct Colours {
+    /// Of patterns that are painted into a layer.
     patterned: wgpu::RenderPipeline,
+    /// Of [`Pattern::Smooth`].
     smooth: wgpu::RenderPipeline,
+    /// Of [`Pattern::Brushed`].
     brushed: wgpu::RenderPipeline,
+    /// A triangle over the image, without a mesh.
     backdrop: wgpu::RenderPipeline,
 }
 
 impl Pipelines {
+    /// Compiles all shaders of the scene and makes the shadow map.
     pub(super) fn new(device: &wgpu::Device, paints: &Paints, shading: Shading) -> Self {
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("scene"),
@@ -152,6 +171,7 @@ impl Colours {
         }
     }
 
+    /// One pipeline each for the ways in which a surface gets its colour, not for each pattern.
     const fn of(&self, pattern: Pattern) -> &wgpu::RenderPipeline {
         match pattern {
             Pattern::Smooth => &self.smooth,
@@ -166,18 +186,21 @@ impl Colours {
     }
 }
 
+/// Slot 0: position (location 0) and normal (1), m, in the object's frame.
 const VERTEX: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
     array_stride: VERTEX_BYTES,
     step_mode: wgpu::VertexStepMode::Vertex,
     attributes: &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3],
 };
 
+/// Slot 1: where the pattern is read (location 2), m.
 const UNROLLED: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
     array_stride: UNROLLED_BYTES,
     step_mode: wgpu::VertexStepMode::Vertex,
     attributes: &wgpu::vertex_attr_array![2 => Float32x2],
 };
 
+/// Slot 2, in fine shading: openness and what comes through (location 3).
 const BAKED: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
     array_stride: BAKED_BYTES,
     step_mode: wgpu::VertexStepMode::Vertex,
@@ -187,6 +210,7 @@ const BAKED: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
 /// The vertex function that needs no mesh.
 const BACKDROP: &str = "backdrop_vertex";
 
+/// Nearer wins; no stencil.
 const fn visibility(bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {
     wgpu::DepthStencilState {
         format: DEPTH_FORMAT,
@@ -202,6 +226,7 @@ const fn visibility(bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {
     }
 }
 
+/// No depth bias.
 const fn unbiased() -> wgpu::DepthBiasState {
     wgpu::DepthBiasState {
         constant: 0,
@@ -210,6 +235,8 @@ const fn unbiased() -> wgpu::DepthBiasState {
     }
 }
 
+/// Depth is pushed back by 1.5 times the slope, against surfaces that shadow themselves; the shader
+/// moves the point it asks about off the surface as well.
 fn shadow_pipeline(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
@@ -236,6 +263,7 @@ fn shadow_pipeline(
     })
 }
 
+/// The only source of ids and range, so no shading can change them.
 fn label_pipeline(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
@@ -264,6 +292,9 @@ fn label_pipeline(
     })
 }
 
+/// `FULL` and `FINE` are constants, so what a shading leaves out is not in its code. With one
+/// sample depth is compared by less or equal with the labels' and not written: only what is seen is
+/// shaded. Both passes compute the same positions bit by bit (`@invariant`).
 fn colour_pipeline(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
@@ -322,6 +353,7 @@ fn colour_pipeline(
     })
 }
 
+/// Triangle lists, back faces left out.
 fn culled() -> wgpu::PrimitiveState {
     wgpu::PrimitiveState {
         cull_mode: Some(wgpu::Face::Back),

@@ -1,4 +1,8 @@
 //! Rays against triangles, to bake with: a tree of boxes.
+//!
+//! A bounding volume hierarchy, split at the median along the longest side of the box: not the best
+//! tree, but always balanced and always the same. In single precision; it is for shading alone.
+//! Physics has its own queries.
 
 use hal::Mesh;
 use hal::count::count_u32;
@@ -11,7 +15,9 @@ const LEAF: usize = 4;
 
 /// Triangles in boxes in boxes.
 pub(super) struct Rays {
+    /// In preorder, the root first. Never empty: of no triangle there is one leaf without any.
     nodes: Vec<Node>,
+    /// Those of a leaf stand together.
     triangles: Vec<Triangle>,
 }
 
@@ -24,14 +30,20 @@ struct Triangle {
 
 /// A box with its triangles, or two boxes: the next one in the list, and `second`.
 struct Node {
+    /// The lower corner of its box.
     low: Vec3,
+    /// The upper corner of its box.
     high: Vec3,
+    /// Of a leaf, its first triangle.
     first: u32,
+    /// Of a leaf, how many there are.
     count: u32,
+    /// Place of the second box; 0 of a leaf, since the root is nobody's second.
     second: u32,
 }
 
 impl Triangle {
+    /// What triangles are sorted by.
     fn middle(&self) -> Vec3 {
         self.corner + (self.sides[0] + self.sides[1]) / 3.0
     }
@@ -42,6 +54,8 @@ impl Triangle {
     }
 
     /// Where a ray meets it, from either side; Möller and Trumbore.
+    ///
+    /// T. Möller and B. Trumbore (1997). The distance may be negative, behind the start.
     fn hit(&self, from: &Vec3, along: &Vec3) -> Option<f32> {
         let [first, second] = self.sides;
         let across = along.cross(&second);
@@ -62,6 +76,9 @@ impl Triangle {
 impl Node {
     /// Whether a ray, of which `inverse` is one over its direction, passes through nearer than
     /// `reach`.
+    ///
+    /// The slab test. Of an axis that the ray is parallel to `inverse` is infinite, which the
+    /// comparisons take as they should.
     fn is_met(&self, from: &Vec3, inverse: &Vec3, reach: f32) -> bool {
         let (mut enters, mut leaves) = (0.0_f32, reach);
         for axis in 0..3 {
@@ -77,6 +94,8 @@ impl Node {
 
 impl Rays {
     /// Against all triangles of `meshes`, which lie in one frame.
+    ///
+    /// Triangles with indices past the last vertex are left out. O(n log^2 n).
     pub(super) fn new<'a>(meshes: impl IntoIterator<Item = &'a Mesh>) -> Self {
         let mut triangles = Vec::new();
         for mesh in meshes {
@@ -98,6 +117,8 @@ impl Rays {
     }
 
     /// Adds a box around `triangles`, and those in it; its place.
+    ///
+    /// Calls itself once a level; median splits bound the depth by the logarithm.
     fn add(&mut self, triangles: &mut [Triangle]) -> u32 {
         let corners = || triangles.iter().flat_map(Triangle::corners);
         let low = corners().fold(Vec3::repeat(f32::MAX), |low, p| low.inf(&p));
@@ -125,6 +146,8 @@ impl Rays {
 
     /// How far it is from `from` along the unit vector `along` to the first triangle that is nearer
     /// than `reach`.
+    ///
+    /// Both sides of triangles count. Allocates its stack of places.
     pub(super) fn nearest(&self, from: &Vec3, along: &Vec3, reach: f32) -> Option<f32> {
         let inverse = along.map(|it| 1.0 / it);
         let mut found = reach;

@@ -1,5 +1,14 @@
 //! What one eye, a camera or the light, tells the device about a frame: one record of its own and
 //! one of each object.
+//!
+//! Records are uniforms in WGSL's layout, written field by field in the order of the structs of
+//! `scene.wgsl`: a `vec3f` begins at a multiple of 16 bytes and the scalar after it fills its
+//! fourth place, matrices are four columns. Nothing checks that both sides agree but their sizes
+//! and the tests' pictures. All positions are relative to the eye, computed in double precision
+//! before they are rounded.
+//!
+//! Bind group 0: binding 0 is the frame's record, binding 1 the object's at a dynamic offset of
+//! `index * OBJECT_STRIDE`; both in vertex and fragment stages.
 
 use core::num::NonZero;
 
@@ -10,19 +19,25 @@ use wgpu::util::DeviceExt;
 use super::{Camera, Light};
 use crate::visual::Backdrop;
 
-/// Bytes of one object record, see `scene.wgsl`.
+/// Bytes of one object record: a matrix (64), colour and metallic (16), roughness, wetness, detail
+/// and id (16), layer and tint (16).
 const OBJECT_BYTES: u64 = 112;
 
 /// From one object record to the next, bytes: what every device can bind at.
 pub(super) const OBJECT_STRIDE: u32 = 256;
 
-/// Bytes of the frame record, see `scene.wgsl`.
+/// Bytes of the frame record: two matrices (128), the light (48), the backdrop (48), the lens (16),
+/// a matrix (64), exposure (4) and 12 of padding.
 const FRAME_BYTES: usize = 320;
 
-/// The buffers of one eye.
+/// The buffers of one eye. One set a camera and one for the light, so that images of several
+/// cameras can be under way together.
 pub(super) struct Records {
+    /// One record, see `FRAME_BYTES`.
     pub(super) frame: wgpu::Buffer,
+    /// A record each `OBJECT_STRIDE` bytes, in the order of the visuals.
     pub(super) objects: wgpu::Buffer,
+    /// Both, as group 0.
     group: wgpu::BindGroup,
 }
 
@@ -93,15 +108,21 @@ pub(super) fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
 pub(super) struct Eye<'a> {
     /// Coordinates of the eye (z along the view) from those of the scene.
     pub(super) eye_from_scene: Isometry3<f64>,
+    /// The light of the picture, or the eye itself.
     light: &'a Light,
+    /// None of the light.
     view: Option<View<'a>>,
 }
 
 /// What a camera needs besides.
 pub(super) struct View<'a> {
+    /// The pinhole that is drawn, not the lens.
     pub(super) camera: &'a Camera,
+    /// What is seen where nothing is.
     pub(super) backdrop: &'a Backdrop,
+    /// Its layer of the patterns.
     pub(super) backdrop_layer: f32,
+    /// Side of the shadow map, texels.
     pub(super) shadow_map_px: u32,
     /// Factor of the light.
     pub(super) exposure: f64,
@@ -140,6 +161,7 @@ impl<'a> Eye<'a> {
         bytes.resize(end, 0);
     }
 
+    /// The part of the frame record from `light_clip_from_camera` to `shadow_texel_tan`.
     fn write_light(&self, shadow_map_px: u32, bytes: &mut Vec<u8>) {
         let light = self.light;
         let eye_from_light = self.eye_from_scene * light.guide_in_scene;
@@ -158,6 +180,7 @@ impl<'a> Eye<'a> {
 }
 
 impl View<'_> {
+    /// The part of the frame record from `up` to `exposure`.
     fn write(&self, camera_from_scene: &Isometry3<f64>, light: &Light, bytes: &mut Vec<u8>) {
         let (lens, behind) = (&self.camera.intrinsics, &self.backdrop.material);
         let up = camera_from_scene * Vector3::z();
@@ -172,7 +195,7 @@ impl View<'_> {
     }
 }
 
-/// Appends numbers as the device reads them.
+/// Appends numbers as the device reads them: single precision in the machine's byte order.
 pub(super) fn put(bytes: &mut Vec<u8>, values: &[f32]) {
     bytes.extend(values.iter().flat_map(|value| value.to_ne_bytes()));
 }

@@ -1,4 +1,12 @@
 //! The scene on the device: all meshes in one set of buffers.
+//!
+//! Three vertex buffers run side by side, one entry a vertex: position and normal, the place on the
+//! pattern, what is baked. Each visual is a range of the index buffer with a base vertex, so its
+//! indices are its mesh's own. Uploaded once; only [`Scene::reshape`] and the baking write into
+//! them later.
+//!
+//! Records are written anew for each eye and image, even where nothing has moved: 256 bytes an
+//! object are little beside an image.
 
 use hal::{Mesh, Pose};
 use nalgebra::{Isometry3, Point3};
@@ -21,32 +29,48 @@ pub(super) const BAKED_BYTES: u64 = 8;
 
 /// One mesh inside the shared buffers.
 struct Part {
+    /// For error messages.
     name: &'static str,
+    /// Its range of the index buffer.
     indices: core::ops::Range<u32>,
+    /// What is added to its indices.
     base_vertex: i32,
+    /// What a new mesh of it must have.
     vertex_count: usize,
+    /// Middle of a ball around it, in its own frame, m; for the order of drawing.
     centre: Point3<f64>,
+    /// Radius of that ball.
     radius_m: f64,
     material: Material,
+    /// Its layer of the painted patterns; a number that the shader makes whole.
     layer: f32,
+    /// Factors of its linear colour.
     tint: [f32; 3],
     instance: u8,
 }
 
 /// Geometry, and room to prepare a frame's records in.
 pub(super) struct Scene {
+    /// `VERTEX_BYTES` a vertex.
     vertices: wgpu::Buffer,
+    /// `UNROLLED_BYTES` a vertex.
     unrolled: wgpu::Buffer,
+    /// `BAKED_BYTES` a vertex; all in the open until `bake`.
     baked: wgpu::Buffer,
+    /// Four bytes each.
     indices: wgpu::Buffer,
     /// What is to be baked once it is wanted.
     unbaked: Option<Vec<Visual>>,
     parts: Vec<Part>,
+    /// Distance of the near side along the eye's z, m, and the part, of the last eye.
     order: Vec<(f64, u32)>,
+    /// Scratch, kept for its room.
     bytes: Vec<u8>,
 }
 
 impl Scene {
+    /// # Errors A mesh whose lists do not fit each other, or more vertices or indices than 32 bits
+    /// count.
     pub(super) fn upload(
         device: &wgpu::Device,
         visuals: &[Visual],
@@ -116,6 +140,8 @@ impl Scene {
     }
 
     /// Bakes what is not baked yet into the vertices, as their meshes were when they were uploaded.
+    ///
+    /// Runs on all processors and blocks. Meshes that were bent since are baked as they first were.
     pub(super) fn bake(&mut self, queue: &wgpu::Queue) {
         if let Some(visuals) = self.unbaked.take() {
             self.bytes.clear();
@@ -127,6 +153,8 @@ impl Scene {
     }
 
     /// Moves the vertices of the visual `index` to where `mesh` has them; the triangles stay.
+    ///
+    /// O(vertices of the mesh); its ball is found anew.
     pub(super) fn reshape(
         &mut self,
         queue: &wgpu::Queue,
@@ -168,6 +196,9 @@ impl Scene {
 
     /// Writes the records of one eye and decides its order of drawing: nearest first, so that what
     /// it hides is never shaded.
+    ///
+    /// Sorting is by the near side of the parts' balls, ties by index, so the order is the same for
+    /// the same poses. It decides speed, and colour only where two surfaces are equally far.
     pub(super) fn place(
         &mut self,
         queue: &wgpu::Queue,
@@ -234,6 +265,9 @@ impl Scene {
 
 /// Where a point lies on its surface, m: its x and y, continued over edges as if the surface were
 /// bent flat there.
+///
+/// On flat ground it is (x, y). On a slope the height times the normal is taken off, so that the
+/// pattern is not stretched over steep sides.
 fn unrolled(position: &[f32; 3], normal: &[f32; 3]) -> [f32; 2] {
     [0, 1].map(|axis| position[axis] - normal[axis] * position[2])
 }
@@ -255,6 +289,7 @@ impl Part {
         }
     }
 
+    /// Appends its object record but for the padding, see `records`.
     fn write(&self, eye_from_object: &Isometry3<f64>, bytes: &mut Vec<u8>) {
         put_matrix(bytes, &eye_from_object.to_homogeneous());
         let surface = &self.material;
@@ -275,6 +310,8 @@ impl Part {
 }
 
 /// A ball around a mesh, m.
+///
+/// The middle of the box, and the farthest vertex from it; not the smallest ball.
 fn ball(mesh: &Mesh) -> (Point3<f64>, f64) {
     let points = || {
         mesh.positions
@@ -294,6 +331,7 @@ fn ball(mesh: &Mesh) -> (Point3<f64>, f64) {
     (centre, radius_m)
 }
 
+/// Appends positions and normals, alternating.
 fn put_vertices(bytes: &mut Vec<u8>, mesh: &Mesh) {
     for (position, normal) in mesh.positions.iter().zip(&mesh.normals) {
         put(bytes, position);
@@ -301,11 +339,14 @@ fn put_vertices(bytes: &mut Vec<u8>, mesh: &Mesh) {
     }
 }
 
+/// Appends what is baked into one vertex.
 fn put_baked(bytes: &mut Vec<u8>, baked: &Baked) {
     put(bytes, &[baked.open, baked.through]);
 }
 
 /// Vertex and index counts of a mesh that is safe to draw.
+///
+/// Normals need not be of length 1: shaders normalise them.
 fn check(visual: &Visual) -> Result<(u32, u32), RenderError> {
     let mesh = &visual.mesh;
     let fault = |reason| RenderError::Mesh {

@@ -1,5 +1,9 @@
 //! Where images are taken: targets and records for each camera whose image is under way, kept from
 //! frame to frame.
+//!
+//! Making targets allocates on the device, and callers take images of the same sizes again and
+//! again. A pool with a bound: cameras beyond it are served too, with targets that are dropped when
+//! the pool is next in the way.
 
 use super::lens::{LensPass, Window};
 use super::records::Records;
@@ -8,24 +12,32 @@ use super::{Camera, RenderError, Shading};
 
 /// What one camera's image needs while it is under way.
 pub(super) struct Station {
+    /// Images and staging buffer of its size.
     pub(super) targets: Targets,
+    /// Written for each image; no two images under way share them.
     pub(super) records: Records,
 }
 
 /// Stations of several sizes.
 #[derive(Default)]
 pub(super) struct Stations {
+    /// The first ones are those of the cameras of the last call, in their order.
     stations: Vec<Station>,
 }
 
-/// Most stations that are kept for later.
+/// From how many stations on those that no camera of the call has taken yet are dropped when
+/// another one has to be made.
 const KEPT: usize = 8;
 
 /// What stations are made with.
 pub(super) struct Plot<'a> {
+    /// Makes textures and buffers.
     pub(super) device: &'a wgpu::Device,
+    /// Layout of the records' group.
     pub(super) records: &'a wgpu::BindGroupLayout,
+    /// Objects of the scene.
     pub(super) parts: usize,
+    /// It decides samples a pixel, and whether optics are shown.
     pub(super) shading: Shading,
     /// Largest side of an image, pixels.
     pub(super) size_px_max: u32,
@@ -38,6 +50,7 @@ impl Plot<'_> {
             || (self.shading.shows_optics() && camera.optics.takes_pass())
     }
 
+    /// A new one for `camera`.
     fn station(
         &self,
         camera: &Camera,
@@ -60,6 +73,9 @@ impl Plot<'_> {
 impl Stations {
     /// Makes the first stations fit `cameras`, in order. A caller who takes images of the same
     /// sizes again and again finds them all there. `pass` is made when the first lens comes.
+    ///
+    /// Searches among the stations that no camera before has taken, and swaps the one found to its
+    /// place.
     pub(super) fn fit<'a>(
         &mut self,
         plot: &Plot<'_>,
@@ -86,6 +102,7 @@ impl Stations {
         Ok(())
     }
 
+    /// That of the camera `index` of the last [`Self::fit`].
     pub(super) fn get(&self, index: usize) -> Option<&Station> {
         self.stations.get(index)
     }

@@ -4,6 +4,9 @@
 //! of its own: smoothed over the pixel by several samples, or with one sample on the first pass's
 //! depth. Where there is a lens these are images of its own, and a last pass makes the picture of
 //! them.
+//!
+//! Rows in the staging buffer begin at multiples of 256 bytes, as copies demand; unpacking leaves
+//! the padding and colour's fourth byte out. The device's byte order is the machine's.
 
 use hal::Intrinsics;
 use hal::count::index;
@@ -19,14 +22,22 @@ use super::textures::{
 
 /// One image to read back: where it is drawn and where its rows lie in the staging buffer.
 struct Plane {
+    /// What is copied from.
     texture: wgpu::Texture,
+    /// What is drawn into.
     view: wgpu::TextureView,
+    /// Its first row in the staging buffer, bytes.
     offset: u64,
+    /// Bytes of a row's pixels.
     row_bytes: u32,
+    /// From one row to the next, bytes.
     pitch_bytes: u32,
 }
 
 /// Samples a pixel of the colour.
+///
+/// Four at the standard places in a pixel; the fragment shader runs once a pixel and triangle all
+/// the same.
 pub(super) const fn colour_samples(shading: Shading) -> u32 {
     match shading {
         Shading::Fine => 4,
@@ -36,16 +47,23 @@ pub(super) const fn colour_samples(shading: Shading) -> u32 {
 
 /// Everything of one image size, and of one distortion.
 pub(super) struct Targets {
+    /// Of the picture that it was made for.
     intrinsics: Intrinsics,
+    /// It decides `samples`.
     shading: Shading,
     /// What the picture is seen through, if not by a clean pinhole.
     pub(super) lens: Option<Lens>,
+    /// The picture's colour.
     colour: Plane,
+    /// The picture's ids.
     instance: Plane,
+    /// The picture's depth, m.
     range: Plane,
+    /// Visibility of the labels; colour with one sample is drawn on it.
     depth: wgpu::TextureView,
     /// Colour and depth of all samples.
     samples: Option<[wgpu::TextureView; 2]>,
+    /// All three planes, one after the other; mapped once an image.
     staging: wgpu::Buffer,
 }
 
@@ -122,6 +140,9 @@ impl Targets {
     }
 
     /// Whether pictures of `intrinsics` can be taken here, with a lens or not.
+    ///
+    /// Without distortion only the size counts, for intrinsics are in the record; a window was made
+    /// for one distortion.
     pub(super) fn fits(&self, intrinsics: &Intrinsics, shading: Shading, has_lens: bool) -> bool {
         let size = |of: &Intrinsics| (of.width, of.height);
         let straight = |of: &Intrinsics| of.distortion.is_none();
@@ -140,6 +161,7 @@ impl Targets {
         }
     }
 
+    /// Colour, ids and range that are copied to the caller.
     const fn picture(&self) -> [&wgpu::TextureView; 3] {
         [&self.colour.view, &self.instance.view, &self.range.view]
     }
@@ -231,6 +253,10 @@ impl Targets {
 
     /// Waits for the images that `submission` draws and [`Self::ask`] asked for, and unpacks them
     /// into `planes`, which fit.
+    ///
+    /// It is here that the thread of the caller waits for an image.
+    ///
+    /// # Errors What the device reports, or a buffer that could not be mapped.
     pub(super) fn read(
         &self,
         gpu: &Gpu,
@@ -289,6 +315,7 @@ fn without_fourths(texels: &[u8], rgb: &mut [u8]) {
 }
 
 impl Plane {
+    /// Its rows in the mapped buffer, without the padding.
     fn rows<'a>(&self, mapped: &'a [u8]) -> impl Iterator<Item = &'a [u8]> {
         let row_bytes = self.row_bytes as usize;
         mapped[index(self.offset)..]
@@ -300,6 +327,7 @@ impl Plane {
 /// A depth attachment starts at the far plane.
 pub(super) const FAR: wgpu::LoadOp<f32> = wgpu::LoadOp::Clear(1.0);
 
+/// A colour target that is kept after the pass.
 const fn attachment(
     view: &wgpu::TextureView,
     load: wgpu::LoadOp<wgpu::Color>,
@@ -315,6 +343,7 @@ const fn attachment(
     }
 }
 
+/// `store` is `Discard` where no later pass looks at the depth.
 pub(super) const fn depth_attachment(
     view: &wgpu::TextureView,
     load: wgpu::LoadOp<f32>,

@@ -1,15 +1,17 @@
 //! The formats of images on the device, and textures for them.
 
-/// Colour as the frame holds it, encoded by the shader, with a fourth byte.
+/// Colour as the frame holds it, encoded to sRGB by the shader, with a fourth byte that is 255 and
+/// left out on the way back. As the format is linear for the device, samples of a pixel are
+/// averaged in encoded values.
 pub(super) const COLOUR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
-/// Instance id.
+/// Instance id; integers are never blended or filtered.
 pub(super) const INSTANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R8Uint;
-/// Metres along the camera's z.
+/// Metres along the camera's z, interpolated in perspective from the vertices.
 pub(super) const RANGE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
-/// Visibility.
+/// Visibility: clip depth, 0 at the near plane and 1 at the far one. It is not read back.
 pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 
-/// A colour target that takes what is drawn as it is.
+/// A colour target that takes what is drawn as it is: no blending, all channels.
 pub(super) const fn whole(format: wgpu::TextureFormat) -> Option<wgpu::ColorTargetState> {
     Some(wgpu::ColorTargetState {
         format,

@@ -3,6 +3,9 @@
 //! All parts use one convention: z towards the tip, the wrist-pitch axis along y, the wrist-yaw
 //! axis (and the jaw's hinge) along x. With the wrist straight all frames are parallel and the yaw
 //! axis lies [`psm::WRIST_M`] beyond the pitch axis.
+//!
+//! Dimensions of the arm come from [`hal::psm`]; the others are for looks alone. Physics has
+//! simpler shapes of its own. Lengths are metres.
 
 use core::f64::consts::PI;
 
@@ -66,6 +69,8 @@ pub fn wrist() -> Mesh {
 
 /// One finger: a hub on the yaw axis, where the origin is, and a tapered, toothed blade that ends
 /// [`psm::FINGER_M`] further along z. The gripping face lies in the plane y = 0.
+///
+/// The blade has no end caps. The other finger is the same, turned by half a turn about z.
 #[must_use]
 pub fn finger(which: Finger) -> Mesh {
     let turn = match which {
@@ -109,11 +114,14 @@ pub fn finger(which: Finger) -> Mesh {
     )
 }
 
-/// How far the floor between the teeth lies behind the gripping face, m.
+/// How far the floor between the teeth lies behind the gripping face, m; also how far the teeth
+/// stand out.
 const GAP_M: f64 = 0.00012;
 
 /// A blade along z with a flat gripping side and a round back, through sections of `(z, half width,
 /// thickness)`.
+///
+/// Two sheets, neither with ends.
 fn blade(sections: &[(f64, f64, f64)]) -> Mesh {
     let across = 8;
     let back: Vec<Vec<_>> = sections
@@ -143,6 +151,8 @@ fn blade(sections: &[(f64, f64, f64)]) -> Mesh {
 }
 
 /// A frustum with rectangular ends of the given half widths.
+///
+/// Between the heights `z_low` and `z_high`, m, centred on the z axis.
 fn tapered(low: [f64; 2], high: [f64; 2], z_low: f64, z_high: f64) -> Mesh {
     let quad = |[x, y]: [f64; 2], z: f64| {
         [
@@ -156,6 +166,8 @@ fn tapered(low: [f64; 2], high: [f64; 2], z_low: f64, z_high: f64) -> Mesh {
 }
 
 /// A rounded plate at `y`, from `z_from` to `z_to`, with the head of an axle on it.
+///
+/// The plate stands in the xz plane, its round end at `z_to`.
 fn ear(y: f64, z_from: f64, z_to: f64) -> Mesh {
     let half_width = 0.0021;
     let plate = placed(
