@@ -252,10 +252,8 @@ fn rows_line(state: &State) -> Line<'_> {
     Line::styled(format!("rows    {rows}{more} ({ago_s:.1} s ago)"), style)
 }
 
-/// The keys. Where the run takes a mark, the marks stand in place of `enable` and `clear`: such a
-/// run refuses both.
-///
-/// The keys and what they do; `monitor`'s `wish` is what they really do.
+/// The keys and what they do; `monitor`'s `wish` is what they really do. Where the run takes a mark,
+/// the marks stand in place of `enable` and `clear`: such a run refuses both.
 fn key_line(takes_mark: bool) -> Line<'static> {
     const WITH_MARKS: [(&str, &str); 9] = [
         ("p", "pause"),
