@@ -59,7 +59,7 @@ pub(crate) fn rounded_i16(value: f64) -> i16 {
 
 /// `value` as a label if it is a whole number of 16 bits.
 ///
-/// None for fractions, NaN, infinities and what is outside of [0, 65535]; -0.0 is 0.
+/// None for fractions, NaN, infinities and what is outside of `[0, 65535]`; -0.0 is 0.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,

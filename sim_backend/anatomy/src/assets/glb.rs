@@ -1,4 +1,8 @@
 //! glTF 2.0 in one binary file.
+//!
+//! A node, mesh and material a group below one root. The root turns by half about the axis (0, 1,
+//! 1): x to -x, y to z, z to y, which is from RAS to glTF's y up and z forward. Positions stay RAS
+//! in metres, so our own reader (`read`) takes them without the rotation.
 
 use std::collections::BTreeMap;
 
@@ -9,6 +13,9 @@ use super::{Asset, FRAME};
 use crate::number::{index, single};
 
 /// A vertex with its own texture coordinates: a seam has several where the mesh has one.
+///
+/// The arrays run side by side but for `indices`; a vertex is a pair of the mesh's vertex and its
+/// texture coordinates.
 struct Split {
     positions: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
@@ -16,6 +23,7 @@ struct Split {
     indices: Vec<u32>,
 }
 
+/// Vertices in the order in which triangles name them.
 fn split(asset: &Asset<'_>) -> Split {
     let mesh = asset.mesh;
     let metres: Vec<[f32; 3]> = asset.metres().collect();
@@ -44,14 +52,17 @@ fn split(asset: &Asset<'_>) -> Split {
 /// What is being written.
 #[derive(Default)]
 struct Document {
+    /// The binary chunk.
     numbers: Numbers,
     meshes: Vec<Value>,
     materials: Vec<Value>,
     images: Vec<Value>,
+    /// One a group; the root comes last.
     nodes: Vec<Value>,
 }
 
 impl Document {
+    /// Adds the mesh, material, image and node of a group.
     fn asset(&mut self, asset: &Asset<'_>) {
         let split = split(asset);
         let position = self.numbers.vectors(&split.positions, true);
@@ -86,6 +97,7 @@ impl Document {
         }));
     }
 
+    /// All but what `numbers` adds.
     fn json(&self) -> Value {
         let half = single(std::f64::consts::FRAC_1_SQRT_2);
         let children: Vec<usize> = (0..self.nodes.len()).collect();
@@ -119,6 +131,7 @@ impl Document {
 /// Share of the light that shines through thin tissue in renderers that know no scattering.
 const THROUGH: f64 = 0.1;
 
+/// Extensions are hints: a reader without them has the base colour and roughness.
 fn material(asset: &Asset<'_>) -> Value {
     let group = asset.group;
     let [r, g, b] = group.colour;

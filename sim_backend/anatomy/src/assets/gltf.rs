@@ -1,5 +1,8 @@
 //! What every binary glTF 2.0 file is made of: numbers with their views and accessors, and the
 //! container.
+//!
+//! Little-endian throughout; the file is a header of 12 bytes and two chunks, JSON and numbers,
+//! each of a multiple of 4 bytes (glTF 2.0, section 4). One view an array, no strides, no sharing.
 
 use serde_json::{Value, json};
 
@@ -19,8 +22,11 @@ const BINARY: &[u8; 4] = b"BIN\0";
 /// The numbers of a binary glTF file, with a view and an accessor for each array.
 #[derive(Debug, Default)]
 pub struct Numbers {
+    /// The buffer; every array begins at a multiple of 4.
     bytes: Vec<u8>,
+    /// Ranges of `bytes`.
     views: Vec<Value>,
+    /// What the numbers in a view are.
     accessors: Vec<Value>,
 }
 
@@ -63,6 +69,7 @@ impl Numbers {
         self.views.len() - 1
     }
 
+    /// Appends an array with its view and accessor; the accessor's index.
     fn add(
         &mut self,
         numbers: impl Iterator<Item = [u8; 4]>,
@@ -109,6 +116,9 @@ impl Numbers {
 }
 
 /// Takes the next `count` bytes.
+///
+/// # Errors
+/// If there are not as many.
 pub(super) fn take<'a>(from: &mut &'a [u8], count: usize) -> Result<&'a [u8], &'static str> {
     let (taken, rest) = from
         .split_at_checked(count)

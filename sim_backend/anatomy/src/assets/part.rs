@@ -1,12 +1,20 @@
 //! A tissue group of a patient that was read, and what its mesh must be like.
+//!
+//! Every reader ends here, ours and those of other programs' files: what the renderer and physics
+//! may rely on is what `fault` checks. Closedness is not checked; patients of other programs are
+//! often open.
 
 use hal::Mesh;
 use nalgebra::Vector3;
 
 /// Most groups of a patient.
+///
+/// More than the 31 groups of our own patients; it bounds what another program's file may ask for.
 pub(super) const PARTS_MAX: usize = 64;
 
 /// How far from the scan's origin a vertex may be, m.
+///
+/// It is there for wrong units: a file in mm that says metres is refused.
 const FAR_M: f32 = 10.0;
 
 /// A tissue group as it lies in the file.
@@ -26,6 +34,9 @@ pub struct Part {
 }
 
 /// What is wrong with a mesh.
+///
+/// The first of: no triangles or a part of one, lists of different lengths, a vertex that is not
+/// finite or far away, a normal that is not of length 1 (1 % is allowed), an index past the end.
 pub(super) fn fault(mesh: &Mesh) -> Option<&'static str> {
     let near = |p: &[f32; 3]| p.iter().all(|x| x.abs() <= FAR_M);
     let unit = |n: &[f32; 3]| (Vector3::from(*n).norm() - 1.0).abs() <= 0.01;

@@ -1,5 +1,9 @@
 //! A patient's meshes out of the `.glb` that [`super::glb`] made; files of other programs are
 //! [`super::foreign`]'s. Whatever else is in the file's place is refused with the reason.
+//!
+//! It is told by `asset.extras.frame`, which must be [`FRAME`]. Ours are read strictly, with every
+//! array in a view of its own, and without the rotation of the root; sizes are checked before
+//! anything is copied.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -175,6 +179,7 @@ pub fn read(place: &Path) -> Result<Vec<Part>, PatientError> {
     parts(&bytes).map_err(|reason| PatientError::Malformed { path, reason })
 }
 
+/// The bound holds for files that grow while they are read too.
 fn load(path: &Path) -> io::Result<Vec<u8>> {
     let found = fs::metadata(path)?;
     if !found.is_file() {
@@ -215,6 +220,7 @@ pub(super) fn parts(file: &[u8]) -> Result<Vec<Part>, String> {
 }
 
 impl Content<'_> {
+    /// The mesh `index` as a part, or what is wrong with it.
     fn part(&mut self, index: usize) -> Result<Part, String> {
         let MeshFile { name, primitives } = &self.document.meshes[index];
         let name = name.clone();
@@ -275,6 +281,7 @@ impl Content<'_> {
     }
 }
 
+/// Words as vectors of single precision; a rest of less than three is dropped.
 fn vectors(words: &[u32]) -> Vec<[f32; 3]> {
     let vectors = words.as_chunks::<3>().0.iter();
     vectors.map(|v| v.map(f32::from_bits)).collect()

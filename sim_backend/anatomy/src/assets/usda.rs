@@ -1,4 +1,8 @@
 //! OpenUSD as text: a prim a group, with material, semantics and collider.
+//!
+//! Text, so that a diff shows what changed and no library is needed. `/Patient` has `Materials` and
+//! a `Mesh` a group; points are RAS metres, z up, as the head of the stage says, so nothing is
+//! turned. Numbers are the shortest that read back the same.
 
 use std::fmt::Write as _;
 
@@ -14,6 +18,8 @@ pub(super) fn prim(name: &str) -> String {
 }
 
 /// `key = [items]`, some on a line.
+///
+/// `after` follows the closing bracket: the metadata of a primvar.
 pub(super) fn list(text: &mut String, key: &str, items: impl Iterator<Item = String>, after: &str) {
     let _written = write!(text, "        {key} = [");
     for (i, item) in items.enumerate() {
@@ -28,6 +34,7 @@ pub(super) fn list(text: &mut String, key: &str, items: impl Iterator<Item = Str
     let _written = writeln!(text, "]{after}");
 }
 
+/// Three numbers as a tuple.
 pub(super) fn vector(v: [f32; 3]) -> String {
     let [x, y, z] = v;
     format!("({x}, {y}, {z})")
@@ -67,6 +74,7 @@ fn sampler(group: &Group) -> String {
     )
 }
 
+/// A `UsdPreviewSurface`, and the stiffness on the same prim.
 fn material(text: &mut String, asset: &Asset<'_>) {
     let group = asset.group;
     let name = prim(&group.name);
@@ -133,6 +141,7 @@ pub(super) fn stiffness(group: &Group, indent: usize) -> String {
     values.map(line).concat()
 }
 
+/// Normals are by vertex, texture coordinates by corner (`faceVarying`); no subdivision.
 fn mesh(text: &mut String, asset: &Asset<'_>) {
     let (group, mesh) = (asset.group, asset.mesh);
     let name = prim(&group.name);
@@ -218,6 +227,8 @@ pub fn level_file(level: u32) -> String {
 
 /// The text of a `.usda` whose `/Patient` has `patient.usda` and `coarser` further levels beside it
 /// as variants of the set `LOD`: `LOD0`, the finest, which is chosen, and following.
+///
+/// References are to files in the same folder.
 #[must_use]
 pub fn levels_usda(coarser: u32) -> String {
     let head = stage_head("Patient").replace(

@@ -26,8 +26,9 @@ const STEP_TOLERANCE: f64 = 0.05;
 /// Sorts by the height along the normal of the first slice, so the third axis runs along
 /// `along[0] x along[1]` and the lattice is right-handed in LPS and in RAS.
 ///
-/// # Errors No slice, slices of several series or of different shape, too few or too many, a gap,
-/// two at one place, one out of line, and voxels or places out of range; each names the files.
+/// # Errors
+/// No slice, slices of several series or of different shape, too few or too many, a gap, two at one
+/// place, one out of line, and voxels or places out of range; each names the files.
 pub(super) fn arrange(folder: &Path, slices: &mut [Slice]) -> Result<Grid, DicomError> {
     let wrong = |reason: String| DicomError::Series {
         folder: folder.display().to_string(),

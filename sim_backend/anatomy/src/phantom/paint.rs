@@ -1,4 +1,8 @@
 //! Voxels of a patient: labels and a CT, slice by slice.
+//!
+//! Each voxel's centre is taken back to the nominal anatomy and asked which part it is in: no
+//! partial volumes, no scanner's blur. Training adds blur. Slices are independent, with noise of
+//! their own seed, so any number of cores gives the same bytes.
 
 use std::fs;
 use std::path::Path;
@@ -18,9 +22,11 @@ use crate::number::{floor_to, real, rounded_i16};
 const BODY: u8 = 200;
 
 /// What the scan sees along x, y and z, mm.
+///
+/// The same for all patients and sizes; the torso is cut off at both ends.
 const FIELD_MM: [f64; 3] = [450.0, 450.0, 540.0];
 
-/// Slices that are made at a time.
+/// Slices that are made at a time, which is what is held in memory.
 const BATCH: usize = 16;
 
 /// Deviation of the CT's noise, HU.
@@ -109,10 +115,13 @@ const fn hounsfield(label: u8) -> f64 {
     }
 }
 
-/// Labels of a slice, with the voxels of each part and those in parts that overlap.
+/// Labels of a slice, with what they add to the tally.
 struct Slice {
+    /// The first axis fastest.
     labels: Vec<u8>,
+    /// By part, the body last.
     voxels: Vec<u64>,
+    /// Voxels in parts that must not overlap.
     overlapping: u64,
 }
 
@@ -121,6 +130,7 @@ pub(super) fn grid(size: Size) -> Grid {
     Grid::centred(size.0, size.spacing_mm())
 }
 
+/// Parts and points that are out of reach are left out by boxes, widened by the deformation.
 fn paint(patient: &Patient, grid: &Grid, z: usize) -> Slice {
     let mut slice = Slice {
         labels: Vec::with_capacity(grid.slice_len()),
@@ -178,6 +188,9 @@ impl Slice {
 
 /// What a scan of `size` sees of `patient`, in memory: the CT's values, HU, and the labels in
 /// VISTA3D's numbers, with what there is of each part.
+///
+/// For training, which needs no files. Holds labels and values, three bytes a voxel, twice for a
+/// moment.
 #[must_use]
 pub fn scan(patient: &Patient, size: Size) -> Scan {
     let grid = grid(size);
@@ -202,6 +215,8 @@ pub fn scan(patient: &Patient, size: Size) -> Scan {
 }
 
 /// Sums over slices.
+///
+/// In the order of the patient's parts, the body last.
 struct Tally {
     voxels: Vec<u64>,
     overlapping: u64,

@@ -1,4 +1,8 @@
 //! Solids by their distance function.
+//!
+//! Signed distances in the manner of I. Quilez: negative inside. The proof that parts are apart
+//! rests on distances that change no faster than the place does; an ellipsoid's is like that only
+//! near its surface.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -34,6 +38,8 @@ pub(super) fn tube(points: &[[f64; 4]]) -> Shape {
 }
 
 /// Distance from a tube's segment; negative inside.
+///
+/// A cone with round ends; the radius runs evenly along it.
 fn segment(p: &Point3<f64>, a: &(Point3<f64>, f64), b: &(Point3<f64>, f64)) -> f64 {
     let along = b.0 - a.0;
     let t = ((p - a.0).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
@@ -41,6 +47,9 @@ fn segment(p: &Point3<f64>, a: &(Point3<f64>, f64), b: &(Point3<f64>, f64)) -> f
 }
 
 /// The lesser of two distances, rounded where they are alike.
+///
+/// The polynomial smooth minimum: quadratic where the two differ by less than `over`, the lesser
+/// one elsewhere.
 fn smooth_min(a: f64, b: f64, over: f64) -> f64 {
     let mix = (0.5 + 0.5 * (b - a) / over).clamp(0.0, 1.0);
     b + (a - b) * mix - over * mix * (1.0 - mix)
@@ -49,6 +58,9 @@ fn smooth_min(a: f64, b: f64, over: f64) -> f64 {
 impl Shape {
     /// Distance of `p` from the surface, negative inside; exact for tubes, of first order near the
     /// surface for the others.
+    ///
+    /// An ellipsoid's is `(k - 1) / |grad k|`, where `k` is the length of the point in units of the
+    /// radii. O(segments) of a tube.
     pub(super) fn distance(&self, p: &Point3<f64>) -> f64 {
         match self {
             Self::Ellipsoid {

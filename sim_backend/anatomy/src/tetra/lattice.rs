@@ -66,8 +66,9 @@ fn cells(mesh: &GroupMesh, side: f64) -> ([usize; 3], Point3<f64>) {
 ///
 /// Insides are found by rays on a grid four times as fine as the cells, all middles at once.
 ///
-/// # Errors If cells or tetrahedra would be more than `TETRAHEDRA_MAX`; it is judged before
-/// anything is allocated.
+/// # Errors
+/// If cells or tetrahedra would be more than `TETRAHEDRA_MAX`; it is judged before anything is
+/// allocated.
 pub(super) fn inside(mesh: &GroupMesh, side: f64) -> Result<Tetrahedra, String> {
     let too_many = || format!("cells of {side:.2} mm are more than {TETRAHEDRA_MAX} tetrahedra");
     let (counts, low) = cells(mesh, side);

@@ -34,8 +34,9 @@ pub(super) struct Window {
 impl Window {
     /// The window of `lens`, with a pixel more on each side for the colour's blending.
     ///
-    /// # Errors A distortion under which two rays of the picture fall at one place, and one whose
-    /// window is wider or higher than twice the picture or the device's limit.
+    /// # Errors
+    /// A distortion under which two rays of the picture fall at one place, and one whose window is
+    /// wider or higher than twice the picture or the device's limit.
     pub(super) fn of(lens: &Intrinsics, size_px_max: u32) -> Result<Self, RenderError> {
         if lens.distortion.is_none() {
             return Ok(Self {

@@ -69,8 +69,10 @@ pub(super) struct Scene {
 }
 
 impl Scene {
-    /// # Errors A mesh whose lists do not fit each other, or more vertices or indices than 32 bits
-    /// count.
+    /// All meshes of `visuals` in their order, with the layers that `paints` has for them.
+    ///
+    /// # Errors
+    /// A mesh whose lists do not fit each other, or more vertices or indices than 32 bits count.
     pub(super) fn upload(
         device: &wgpu::Device,
         visuals: &[Visual],

@@ -256,7 +256,8 @@ impl Targets {
     ///
     /// It is here that the thread of the caller waits for an image.
     ///
-    /// # Errors What the device reports, or a buffer that could not be mapped.
+    /// # Errors
+    /// What the device reports, or a buffer that could not be mapped.
     pub(super) fn read(
         &self,
         gpu: &Gpu,
