@@ -83,7 +83,7 @@ pub const PARTS: [Part; 11] = [
 /// Values outside of the ranges are not refused.
 #[derive(Clone, Copy, Debug)]
 pub struct Material {
-    /// Linear RGB in [0, 1]: the diffuse albedo of a dielectric, the reflectance of a metal seen
+    /// Linear RGB, 0 to 1: the diffuse albedo of a dielectric, the reflectance of a metal seen
     /// straight on. Patterns are painted about it.
     pub base_colour: [f32; 3],
     /// 0 dielectric (4 % at normal incidence), 1 metal. Patterned surfaces are dielectrics whatever

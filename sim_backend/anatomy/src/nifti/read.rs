@@ -180,7 +180,8 @@ fn unknown_text(unknown: &BTreeMap<u16, u64>) -> String {
 /// refused, so that one run shows what a table lacks; a voxel that is no label ends it at once.
 ///
 /// # Errors
-/// [`NiftiError`]: besides what [`read_slices`] refuses, voxels that are no labels and labels that `groups` does not know.
+/// [`NiftiError`]: besides what [`read_slices`] refuses, voxels that are no labels and labels that
+/// `groups` does not know.
 pub fn read_labels(path: &Path, groups: &Groups) -> Result<LabelVolume, NiftiError> {
     let mut voxels = Vec::new();
     let mut unknown = BTreeMap::new();

@@ -32,7 +32,8 @@ const ROTATION: Matrix3<f64> = Matrix3::new(
     2.0 / 3.0,
 );
 
-/// Gradient noise (K. Perlin, "Improving noise", 2002) from -1 to 1 that changes over a length of 1.
+/// Gradient noise (K. Perlin, "Improving noise", 2002) from -1 to 1, whose cells have sides of 1.
+/// The lattice is turned by `ROTATION` first; gradients are even in a cube, not on a sphere.
 pub(super) fn noise(p: &Point3<f64>, seed: u64) -> f64 {
     let (low, within) = cell(&(ROTATION * p));
     let eased = within.map(|t| t * t * t * (t * (6.0 * t - 15.0) + 10.0));
