@@ -1,5 +1,11 @@
 //! Hot path: bounded, no allocation, no I/O, no lock. One part of the instrument pushing the sheet:
 //! pressure at samples, friction at nodes, and what the part feels.
+//!
+//! Penalty contact, explicit like the sheet: at each sample of the sheet's middle surface within
+//! the half thickness of a part's skin the pressure is
+//! `stiffness * depth - damping * leaving speed`, never below 0, times the sample's area, given to
+//! the nodes around by their bilinear shares. Friction is Coulomb's, by impulses on nodes after the
+//! forces.
 
 use nalgebra::Vector3;
 
@@ -15,18 +21,29 @@ const REACH_M: f64 = 0.002;
 /// A part and its touch.
 #[derive(Clone, Debug)]
 pub(super) struct Part {
+    /// Its shape, in its own frame.
     solid: Solid,
+    /// Stiffness of its skin, N/m^3, and friction.
     touch: ContactParameters,
+    /// Damping of its skin by area, N s/m^3, for the mass of this sheet.
     damping_n_s_m3: f64,
+    /// Of the sheet: so far from its middle surface it is touched.
     half_thickness_m: f64,
+    /// From the last pose to the next, over the millisecond.
     motion: Motion,
+    /// Samples that the part may reach in this millisecond.
     near: Vec<usize>,
+    /// Nodes that this sub-step's pressure has reached, in the order in which it did.
     touched: Vec<usize>,
+    /// Those of the sub-step before, whose friction is tried first.
     touched_before: Vec<usize>,
     /// Velocity that friction gave each node in the last sub-step, m/s.
     rubs: Vec<Vector3<f64>>,
+    /// By node, N: the normal force of this sub-step; 0 where nothing touches.
     loads_n: Vec<f64>,
+    /// By node: forces summed, so that their direction is the mean normal.
     normals: Vec<Vector3<f64>>,
+    /// Sums since the millisecond began.
     felt: Felt,
 }
 

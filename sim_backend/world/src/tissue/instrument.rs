@@ -1,4 +1,8 @@
 //! One instrument in the tissue: its parts, its hold, and what it felt of both.
+//!
+//! A millisecond of it: `begin` takes the new poses and looks for what is near, sub-steps press and
+//! rub with the parts and pull with the hold, `end` sums up what was felt and lets the hold decide
+//! whether the next millisecond grasps, keeps or tears loose.
 
 use hal::{Pose, TICK_S};
 use nalgebra::Vector3;
@@ -14,10 +18,15 @@ use super::sheet::Sheet;
 /// One instrument.
 #[derive(Clone, Debug)]
 pub(super) struct Jaw {
+    /// Where it is at the end of this millisecond.
     pub(super) input: JawInput,
+    /// Of the middle between the fingers, over this millisecond.
     pub(super) motion: Motion,
+    /// First finger, second finger, wrist.
     pub(super) parts: [Part; 3],
+    /// What tissue is between the pads.
     pub(super) hold: Hold,
+    /// Of the last millisecond that has ended.
     pub(super) report: JawReport,
 }
 
@@ -47,6 +56,8 @@ impl Jaw {
         }
     }
 
+    /// An empty jaw that is shut is one solid finger, so that tissue is not squeezed into a gap
+    /// that it would not fit.
     pub(super) fn begin(&mut self, input: &JawInput, sheet: &Sheet, samples: &Samples) {
         self.motion = Motion::new(&self.input.middle(), &input.middle(), TICK_S);
         self.input = *input;
@@ -66,6 +77,8 @@ impl Jaw {
         }
     }
 
+    /// `substeps` is how many there were; forces are their means. The pull of the patch goes to
+    /// both pads in halves, the squeeze to both with opposite signs.
     pub(super) fn end(&mut self, sheet: &Sheet, samples: &Samples, substeps: f64) {
         let felt: [Felt; 3] = [0, 1, 2].map(|index| self.parts[index].felt(substeps));
         let pull = self.hold.felt(substeps);
@@ -91,6 +104,7 @@ impl Jaw {
             .decide(&self.input, sheet, samples, pressed_n, pull.force.norm());
     }
 
+    /// How far the mark is from it is filled in by whoever knows the mark.
     fn grasp(&self, sheet: &Sheet, pull: &Wrench) -> Grasp {
         Grasp {
             area_m2: self.hold.area_m2(),

@@ -1,4 +1,9 @@
 //! Soft ground: heights and normals of a surface that gives way under points.
+//!
+//! Rigid solids go through the detector; soft ground has none of its triangles, only a height over
+//! each place, and is met by balls. The gap is the first-order distance from the surface,
+//! `(z - height) n_z - radius`: exact on a plane, and good where the surface curves little within
+//! the gap. It is negative by how deep a ball sinks in.
 
 use nalgebra::Vector3;
 
@@ -55,6 +60,8 @@ pub(super) fn meet(
     }
 }
 
+/// A rolling organ ends at its rim, beyond which there is the table; a measured one has nothing
+/// beyond.
 fn meet_organ(organ: &Organ, centre: &Vector3<f64>, radius_m: f64, reach_m: f64) -> Option<Found> {
     match organ {
         Organ::Rolling(organ) => {
@@ -69,6 +76,8 @@ fn meet_organ(organ: &Organ, centre: &Vector3<f64>, radius_m: f64, reach_m: f64)
     }
 }
 
+/// None where the surface ends or is more than `reach_m` away. The point is in the middle of the
+/// gap.
 fn meet_surface(
     surface: &impl SoftGround,
     centre: &Vector3<f64>,
@@ -86,6 +95,7 @@ fn meet_surface(
     .filter(|found| found.gap_m <= reach_m)
 }
 
+/// The same of the flat table, which has no rim.
 fn meet_table(centre: &Vector3<f64>, radius_m: f64, reach_m: f64) -> Option<Found> {
     let gap_m = centre.z - TABLE_HEIGHT_M - radius_m;
     let normal = Vector3::z();

@@ -4,6 +4,11 @@
 //! The four edge vectors of a cell, divided by their rest lengths, are the columns of the
 //! deformation gradient at its corners; with quadrature at the corners every strain is a dot
 //! product of two of them. A constant strain is exact, and no deformation but a rigid one is free.
+//!
+//! The law is St. Venant and Kirchhoff's in plane stress: per area
+//! `k / 2 (u^2 + v^2 + 2 nu u v) + 2 g s^2`, with the Green strains `E = (F^T F - 1) / 2` along u
+//! and v and in shear, at each corner of a cell. Damping is Kelvin and Voigt's: strains are taken
+//! `relaxation_s` ahead by their rates.
 
 use nalgebra::Vector3;
 
@@ -25,6 +30,7 @@ struct Strains {
 }
 
 impl Edges {
+    /// Of positions they are pure numbers; of velocities, rates in 1/s.
     #[inline]
     fn of(values: &[Vector3<f64>], corners: [usize; 4], per_m: [f64; 2]) -> Self {
         let [a, b, c, d] = corners;
@@ -35,6 +41,7 @@ impl Edges {
         }
     }
 
+    /// All 0 at rest, whatever the rotation.
     #[inline]
     fn strains(&self) -> Strains {
         let ([u0, u1], [v0, v1]) = (&self.u, &self.v);
@@ -187,6 +194,7 @@ pub(super) fn green_max(sheet: &Sheet) -> f64 {
     largest
 }
 
+/// Gives the strains of each cell, the first axis fastest.
 fn for_cells(sheet: &Sheet, mut visit: impl FnMut(&Strains)) {
     let per_m = sheet.spacing_m.map(f64::recip);
     let row = sheet.nodes[0];

@@ -1,4 +1,9 @@
 //! Where instruments, things and ground meet in a step, and what wakes.
+//!
+//! The order of contacts is fixed, which repeatable runs need: for each thing its contacts with the
+//! instruments and, if it is awake, with the ground, hard before soft; then each instrument's with
+//! the ground. Contacts are looked for beyond touch by the way that both sides may go in two
+//! milliseconds, and a contact whose gap does not close gets no force.
 
 use nalgebra::Vector3;
 use rapier3d_f64::math::Pose as EnginePose;
@@ -41,6 +46,9 @@ impl Stage {
     }
 
     /// Contacts of a thing and the instruments; whether one of these is near.
+    ///
+    /// The grip's memory, of where a thing stuck to this part, turns into the contact's homing and
+    /// spin.
     fn meet_instruments(&mut self, index: usize, poses: &[PartPoses], speeds: &[f64]) -> bool {
         let Self {
             things,
@@ -92,6 +100,9 @@ impl Stage {
     }
 
     /// Contacts of a thing and the ground.
+    ///
+    /// Things meet soft ground with the balls of those of their pieces that are for the ground
+    /// alone.
     fn meet_ground(&mut self, index: usize) {
         let thing = &self.things[index];
         let pose = thing.moving.pose;
@@ -125,6 +136,9 @@ impl Stage {
     }
 
     /// Contacts of an instrument and the ground.
+    ///
+    /// Of the soft ground instruments have sample points: bare for fingers, balls of the wrist's
+    /// radius for the wrist.
     fn press_ground(&mut self, arm: usize, poses: &PartPoses, reach_m: f64) {
         for (part, pose) in poses.iter().enumerate() {
             let sides = [Side::Ground, Side::Part { arm, part }];
@@ -156,6 +170,7 @@ impl Stage {
     }
 }
 
+/// One without memory.
 fn contact(sides: [Side; 2], found: &Found, surface: &Surface) -> Contact {
     Contact {
         sides,

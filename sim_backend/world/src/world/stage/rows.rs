@@ -1,4 +1,8 @@
 //! The contacts of a step with their Jacobians.
+//!
+//! A row gives the velocity of the contact's second side against its first along one axis: normal,
+//! two tangents, and the spin about the normal times the radius of the patch, so that all four are
+//! in m/s and share one cone. The first side has the sign -, the second +; ground has no columns.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -9,6 +13,10 @@ use crate::world::contact::{Row, Side, frame};
 
 impl Stage {
     /// The contacts with their Jacobians, which hold for the whole step.
+    ///
+    /// Sides that are not solved for (arms not in `coupled`, things not in `awake`) get no columns,
+    /// as ground. The mobility of a row is the mean over both tangents of the inverse mass that a
+    /// push there meets, 1/kg.
     pub(super) fn make_rows(
         &mut self,
         arms: &[ArmUnit],
