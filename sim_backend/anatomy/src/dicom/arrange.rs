@@ -28,7 +28,7 @@ const STEP_TOLERANCE: f64 = 0.05;
 ///
 /// # Errors
 /// No slice, slices of several series or of different shape, too few or too many, a gap, two at one
-/// place, one out of line, and voxels or places out of range; each names the files.
+/// place, one out of line, and voxels or places out of range.
 pub(super) fn arrange(folder: &Path, slices: &mut [Slice]) -> Result<Grid, DicomError> {
     let wrong = |reason: String| DicomError::Series {
         folder: folder.display().to_string(),
