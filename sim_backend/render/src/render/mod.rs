@@ -92,8 +92,8 @@ pub enum Shading {
     /// around does not reach (both baked by rays when it is chosen first). A software rasteriser
     /// takes 2.3 times as long (102 and 45 ms, `tests/benches/RESULTS.md`).
     ///
-    /// Shadows have penumbras (percentage-closer soft shadows, R. Fernando, 2005) of a light guide of
-    /// 4 mm: they grow with the height of the caster over the surface, up to 3 mm.
+    /// Shadows have penumbras (percentage-closer soft shadows, R. Fernando, 2005) of a light guide
+    /// of 4 mm: they grow with the height of the caster over the surface, up to 3 mm.
     Fine,
     /// Painted colours in the same light without any of these, in 0.62 of the time (28 and 45 ms).
     Plain,
