@@ -1,4 +1,8 @@
 //! A scene at one instant: what experts may know of it, and what cameras need of it.
+//!
+//! Both are values of a fixed size, read after a step of physics. [`SceneState`] goes to an expert
+//! once a policy step, each arm's part in that arm's RCM frame; [`SceneSnapshot`] goes to whatever
+//! thread has the cameras, all in the scene frame.
 
 use hal::{ARMS_MAX, Pose};
 use trocar_world::tissue::FlapSnapshot;
@@ -37,9 +41,9 @@ pub struct SceneSnapshot {
     /// How many control ticks of 1 ms the scene is old; counts round. Smoke drifts and sensors'
     /// noise changes with it.
     pub moment_ms: u32,
-    /// The things that move, as many as the task has.
+    /// The things that move, as many as the task has. The rest are identities.
     pub things: [Pose; THINGS_MAX],
-    /// The place where something is to be brought, if the task has one.
+    /// The place where something is to be brought, if the task has one. Otherwise the identity.
     pub goal: Pose,
     /// The instruments' parts.
     pub arms: [Option<ArmBodies>; ARMS_MAX],

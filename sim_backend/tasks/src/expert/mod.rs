@@ -1,6 +1,9 @@
 //! Scripted experts. An expert sees the scene's true state, once a policy step, and answers with a
 //! chunk of tip targets, as a policy does; each is a little different with each seed. The scripts
 //! that they follow lie with their tasks.
+//!
+//! It plans in space alone: joints, their limits and the workspace are the controller's, as with
+//! any policy.
 
 use hal::{Chunk, TimeNs, TipTarget};
 
@@ -35,7 +38,8 @@ impl Expert {
     }
 
     /// The first arm's target for `now` and those that would follow if the arm kept up and nothing
-    /// unforeseen happened; to be called every [`STEP_NS`].
+    /// unforeseen happened; to be called every [`STEP_NS`]. [`CHUNK_LEN`] targets in that arm's RCM
+    /// frame. Costs ten steps of the script.
     pub fn chunk(&mut self, now: TimeNs, scene: &SceneState, sequence: u64) -> Chunk {
         let wishes = self.script.wishes(now, scene);
         Chunk::new(now, sequence, STEP_NS, &wishes.map(|wish| wish.first))

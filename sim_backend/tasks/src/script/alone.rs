@@ -1,4 +1,7 @@
 //! The script of a task that has one arm.
+//!
+//! It has one [`Hand`], and targets for the first arm alone. What the hand sees is in the scene
+//! frame, where its part plans; wishes leave in the arm's RCM frame.
 
 use hal::{Pose, TimeNs, TipTarget};
 use trocar_world::ArmStart;
@@ -12,10 +15,12 @@ use hal::ARMS_MAX;
 /// What the hand sees, in the scene frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct View {
+    /// The first arm.
     pub(crate) arm: ArmView,
-    /// What the task is about.
+    /// What the task is about. Its frame in the scene; of a flap, its mark's.
     pub(crate) thing: Pose,
-    /// Where something is to be brought, if the task has such a place.
+    /// Where something is to be brought, if the task has such a place. The scene's origin in a task
+    /// without one.
     pub(crate) goal: Pose,
 }
 

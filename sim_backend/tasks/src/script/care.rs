@@ -1,5 +1,9 @@
 //! A script as an operator with visual delay and motor noise follows it: each phase waits until the
 //! tip is seen at its goal.
+//!
+//! The paths stay those of the expert. Only the ends of motions, as their part sees them, come
+//! later: by a pause that is drawn for each motion, and by as much as the tip lags behind.
+//! Meanwhile the target stands at the motion's end.
 
 use hal::{Pose, TimeNs};
 use trocar_world::rng::Rng;
@@ -32,6 +36,7 @@ pub struct SettleCriteria {
 pub(crate) struct Careful {
     care: SettleCriteria,
     rng: Rng,
+    /// How long the present motion has been put off for the tip, s; its pause is not in it.
     waited_s: f64,
 }
 

@@ -8,6 +8,8 @@ use super::motion::{Motion, Placement};
 /// How far the measured tip may be from its target at the end of a motion, m, and how long to wait
 /// for it, s.
 const ARRIVED_M: f64 = 0.0006;
+/// After so long a part goes on wherever the tip is: something holds it, and the next phase shows
+/// what.
 pub(crate) const ARRIVED_PATIENCE_S: f64 = 0.6;
 
 /// `placement`, higher by `height_m`.
@@ -21,7 +23,7 @@ pub(crate) fn straight_down() -> UnitQuaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(columns))
 }
 
-/// Whether the measured tip is where the motion ends.
+/// Whether the measured tip is where the motion ends. Its rotation is not looked at.
 pub(crate) fn settled(motion: &Motion, tip_in_scene: &Pose) -> bool {
     let tip = tip_in_scene.translation.vector;
     (tip - motion.end().tip_in_scene.translation.vector).norm() < ARRIVED_M

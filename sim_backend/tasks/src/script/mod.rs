@@ -4,6 +4,12 @@
 //! A script sees the scene's true state, once a policy step, and answers with the tip targets of
 //! that instant. Targets form smooth paths from rest to rest, so that they can be recorded as
 //! demonstrations. Scripts follow what moves, and start over when a grasp failed.
+//!
+//! The way of a wish: [`AnyScript::wishes`] turns the scene into each hand's view, in the scene
+//! frame; [`play::Hand`] moves on in its part's phases, or stays, and gives the placement of its
+//! present [`motion::Motion`]; that becomes a target in the arm's RCM frame. For the rest of the
+//! chunk a copy of the script is played on in a scene that is imagined: arms where they were
+//! wanted, what is held carried along, nothing else moving.
 
 pub(crate) mod alone;
 pub(crate) mod care;
@@ -35,7 +41,7 @@ pub(crate) struct TipTargets {
     pub(crate) second: Option<TipTarget>,
 }
 
-/// What an expert of one task does.
+/// What an expert of one task does. Cloned once a policy step, to be played on.
 pub(crate) trait Script: Clone + Debug + Send + 'static {
     /// The wish for `now`; to be asked every [`STEP_NS`]. The first call starts from where the tips
     /// are measured.
@@ -50,13 +56,15 @@ pub(crate) trait Script: Clone + Debug + Send + 'static {
     /// From now on it is played with `care`, whose pauses are drawn by `seed`.
     fn take_care(&mut self, care: SettleCriteria, seed: u64);
 
-    /// Changes `scene` to what it would be after `wish` if the arms kept up.
+    /// Changes `scene` to what it would be after `wish` if the arms kept up. Fingers feel in it
+    /// what they felt before: a grip is foreseen neither to close nor to slip.
     fn foresee(&self, scene: &mut SceneState, wish: &TipTargets);
 }
 
 /// A script of whatever task, with its foresight.
 pub(crate) trait AnyScript: Debug + Send {
-    /// The wish for `now`, and those that would follow.
+    /// The wish for `now`, and those that would follow. Counted from 0, the n-th is for n times
+    /// [`STEP_NS`] after `now`. Only the step for `now` changes the script itself.
     fn wishes(&mut self, now: TimeNs, scene: &SceneState) -> [TipTargets; CHUNK_LEN];
 
     /// Attempts at a grasp begun so far, the present one included.

@@ -6,7 +6,9 @@ use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 /// Tip pose and jaw angle, in the scene frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Placement {
+    /// The control point: on the wrist-yaw axis, z along the closed fingers, x along their hinge.
     pub(crate) tip_in_scene: Pose,
+    /// Angle between the fingers, rad; below contact is a command to squeeze.
     pub(crate) jaw: f64,
 }
 
@@ -42,12 +44,16 @@ const TURN_RATE_RAD_S: f64 = 1.2;
 /// Peak speed of [`blend`] over its mean speed.
 const BLEND_PEAK: f64 = 1.875;
 
-/// One motion from rest to rest along a minimum-jerk profile, with an optional sideways bow.
+/// One motion from rest to rest along a minimum-jerk profile, with an optional sideways bow. Place,
+/// rotation (shortest turn) and jaw share one clock. It lasts as long as the slowest of them needs
+/// at its peak rate, and no longer when its end drifts.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Motion {
     from: Placement,
     to: Placement,
+    /// Greatest distance from the straight way, reached half way, scene frame, m.
     bow_m: Vector3<f64>,
+    /// Instead of the straight way from `from` to `to`; then there is no bow, and the jaw rests.
     swing: Option<Swing>,
     began: TimeNs,
     duration_s: f64,
@@ -145,7 +151,8 @@ impl Motion {
     }
 
     /// Moves the end towards `wanted`, by at most `step_m` and `step_rad`, so that the path bends
-    /// instead of jumping.
+    /// instead of jumping. Called once a step. What the end moves by shows up in the path by its
+    /// share `s` so far: late drifts are felt at once, early ones hardly.
     pub(crate) fn drift_end(&mut self, wanted: &Pose, step_m: f64, step_rad: f64) {
         let end = &mut self.to.tip_in_scene;
         let gap_m = wanted.translation.vector - end.translation.vector;
@@ -167,7 +174,9 @@ impl Motion {
             .unwrap_or(end.rotation);
     }
 
-    /// Where the tip should be at `now`.
+    /// Where the tip should be at `now`. With `s` the blend of the elapsed share, straight ways are
+    /// at `from + (to - from) s + bow (4 s (1 - s))²`: the bow and its slope vanish at both ends.
+    /// Before it began it is at `from`, after its end at `to`.
     pub(crate) fn at(&self, now: TimeNs) -> Placement {
         let share = (self.elapsed_s(now) / self.duration_s).clamp(0.0, 1.0);
         let s = blend(share);
@@ -191,7 +200,8 @@ impl Motion {
         }
     }
 
-    /// Seconds since the motion ought to have ended; negative while it is under way.
+    /// Seconds since the motion ought to have ended; negative while it is under way. A motion never
+    /// ends by itself: its part asks for this and decides.
     pub(crate) fn overdue_s(&self, now: TimeNs) -> f64 {
         self.elapsed_s(now) - self.duration_s - self.put_off_s
     }

@@ -1,4 +1,8 @@
 //! How to take a needle that lies flat.
+//!
+//! Both grasps point the instrument straight down, the hinge along the wire. Of the two yaws that
+//! do so, half a turn apart, the one within a quarter turn of the home rotation is taken. The
+//! control point is a finger's length above the finger tips.
 
 use core::f64::consts::{FRAC_PI_2, PI};
 

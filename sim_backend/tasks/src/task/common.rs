@@ -64,7 +64,8 @@ impl RenderingFile {
     }
 }
 
-/// The tables that all scene files share.
+/// The tables that all scene files share. Each kind's file lists them among its own, since `serde`
+/// does not flatten into a table that refuses unknown keys.
 pub(super) struct CommonFile {
     pub(super) arm: Vec<ArmFile>,
     pub(super) world: WorldConfig,
@@ -73,7 +74,8 @@ pub(super) struct CommonFile {
     pub(super) episode: EpisodeFile,
 }
 
-/// What they say, checked.
+/// What they say, checked. Lives between reading a scene file and [`Self::into_task`], so that a
+/// kind can try its needle in the file's own world before there is a task.
 pub(super) struct Common {
     arms: Vec<ArmStart>,
     world: WorldConfig,
@@ -149,6 +151,7 @@ impl Common {
 }
 
 impl ArmFile {
+    /// Places within 1 m of the scene's origin, joints and jaw within the instrument's limits.
     fn check(&self, source: &Source, index: usize) -> Result<(), ConfigError> {
         let key = |name: &str| format!("arm.{index}.{name}");
         for axis in 0..3 {

@@ -21,7 +21,8 @@ pub struct Criterion {
     pub met: bool,
 }
 
-/// All that has to be so at once.
+/// All that has to be so at once. In the order in which they were put in. A table without any is
+/// met.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Criteria([Option<Criterion>; CRITERIA_MAX]);
 
@@ -78,6 +79,8 @@ impl Criteria {
         self.at_least(name, "", f64::from(u8::from(is_so)), 1.0)
     }
 
+    /// Appends one. Panics beyond [`CRITERIA_MAX`]: a mistake of the monitor, which shows at its
+    /// first observation.
     fn with(mut self, criterion: Criterion) -> Self {
         let place = self.0.iter_mut().find(|place| place.is_none());
         assert!(place.is_some(), "{criterion:?} finds no room");

@@ -1,4 +1,10 @@
 //! Verdicts: what a task's monitor sees, what it can say, and what it shares with the others.
+//!
+//! Once a millisecond, after the physics, a `MonitorInput` is read from the world and given to the
+//! `Judge`, which asks the task's `Monitor` and then looks at the clock. For handled things a
+//! monitor first asks its `Safeguard`, in this order: pose not finite, fingers too deep, thing too
+//! deep in hard ground, energy from nowhere (all invalid); squeezed, thrown, ground pressed, fallen
+//! (all lost). Success can only follow if none of these is so.
 
 use core::fmt;
 use std::collections::VecDeque;
@@ -166,6 +172,8 @@ pub(crate) struct MonitorInput {
 }
 
 impl MonitorInput {
+    /// Reads the newest step. Allocates the two lists of arms. What a jaw holds of a flap counts as
+    /// a grasp here too.
     pub(crate) fn of(world: &World) -> Self {
         let arms = 0..world.arm_count();
         let is_free = world.thing_count() > 0 && arms.clone().all(|arm| !world.is_touched(arm, 0));
@@ -199,6 +207,8 @@ pub(crate) trait Monitor: Send {
 /// A monitor with the clock.
 pub(crate) struct Judge {
     monitor: Box<dyn Monitor>,
+    /// Time from the first observation at which a running episode is lost, s. Success in the same
+    /// millisecond wins.
     limit_s: f64,
     steps: u64,
     outcome: Outcome,
@@ -296,6 +306,7 @@ impl PressLimit {
 pub(super) struct PressWatch {
     ground: &'static str,
     limit: PressLimit,
+    /// Steps in a row above the limit, with the hysteresis of [`LET_GO`].
     steps: u64,
 }
 
@@ -454,10 +465,15 @@ impl DwellTimer {
 pub(super) struct FailureMonitor {
     thing: &'static str,
     limits: Limits,
+    /// Steps in a row with fingers too deep in it; likewise below with too deep ground and too much
+    /// force. [`JUDGED_STEPS`] of them decide.
     deep_steps: usize,
     sunk_steps: usize,
     hard_steps: usize,
+    /// Least energy since an instrument last touched it, J; infinite while one does.
     least_energy_j: f64,
+    /// Where the watched point was in the last [`JUDGED_STEPS`] steps, oldest first, scene frame,
+    /// m: over these its mean speed is judged.
     points: VecDeque<Point3<f64>>,
 }
 

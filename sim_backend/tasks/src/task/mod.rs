@@ -10,6 +10,19 @@
 //! that folder and two lines of this file, the module's and the one in `KINDS`; and a folder of the
 //! first sort, whose task has that kind. Everything else sees kinds through `TaskScene` and tasks
 //! through [`TaskConfig`].
+//!
+//! **Frames.** The scene frame has z up, in metres, with the ground near z = 0; things, cameras,
+//! goals and what judges see are in it. Each arm has an RCM frame, its base, which
+//! `ArmStart::scene_from_rcm` puts into the scene; what an expert is told and what it wants is in
+//! that of the arm, and scripts turn both into the scene frame and back. A needle's frame has its
+//! origin in the centre of the arc, the middle of the wire on +x and the point at y > 0; a block's
+//! is in its middle, z along the hole; a mark's has y towards the free edge and z out of the
+//! tissue.
+//!
+//! **Chance.** One number, the episode's seed, decides everything that is drawn. Each use draws
+//! from a stream of its own, by the seed and a name (`needle`, `pegs`, `block`, `mark`, `expert`,
+//! `light`, `lens NAME`, ...): a new random quantity leaves the old ones as they were. Arms always
+//! start at the joints of the file.
 
 pub mod block_transfer;
 mod camera;
@@ -112,13 +125,16 @@ pub struct TaskConfig {
 
 /// What is particular to a kind of scene. Everything that is drawn at random depends on `seed`.
 pub(crate) trait TaskScene: Any + CloneScene + Debug + Send + Sync {
-    /// Things at their places, and the ground.
+    /// Things at their places, and the ground. On a patient it is also asked with numbers that are
+    /// no episode's, for another place of a thing that slides off: only the places of things may
+    /// then differ from those of the seed.
     fn scenery(&self, seed: u64) -> Scenery;
 
     /// The place where something is to be brought, scene frame, if the task has one.
     fn goal(&self, seed: u64) -> Option<Pose>;
 
-    /// A judge of the episode, at its start.
+    /// A judge of the episode, at its start. It must judge by what the world shows, not by where
+    /// things started: a thing may have been laid elsewhere.
     fn monitor(&self, seed: u64) -> Box<dyn Monitor>;
 
     /// The scripted expert, which drives `arms`.
@@ -149,7 +165,8 @@ pub(crate) trait TaskScene: Any + CloneScene + Debug + Send + Sync {
         None
     }
 
-    /// What there is to see besides the arms.
+    /// What there is to see besides the arms. As many, in the same order, for every seed and
+    /// needle: renderers keep them between episodes.
     fn visuals(&self) -> Vec<Visual>;
 
     /// What is behind that.
@@ -157,7 +174,8 @@ pub(crate) trait TaskScene: Any + CloneScene + Debug + Send + Sync {
         Backdrop::CAVITY
     }
 
-    /// Where the visuals are, in the same order, in the scene frame.
+    /// Where the visuals are, in the same order, in the scene frame. `things` may be longer than
+    /// what the scene has; a scene without a goal ignores `goal`.
     fn visual_poses(&self, things: &[Pose], goal: &Pose) -> Vec<Pose>;
 
     /// The soft flap, if there is one, with the radius of its mark, m. Its visuals are those with
@@ -214,6 +232,7 @@ pub enum NeedleError {
     },
 }
 
+/// The end of [`NeedleError::Unknown`]'s message.
 fn known_needles(known: &[String]) -> String {
     if known.is_empty() {
         "it has no choice of needles".to_owned()
@@ -222,6 +241,7 @@ fn known_needles(known: &[String]) -> String {
     }
 }
 
+/// The end of [`NeedleError::SlidesOff`]'s message.
 fn resting_needles(resting: &[String]) -> String {
     if resting.is_empty() {
         "no other comes to rest there".to_owned()
@@ -295,7 +315,7 @@ impl TaskConfig {
     }
 
     /// The names of those needles of the scene that lie and come to rest on its ground, if there is
-    /// a choice.
+    /// a choice. On a patient each is laid and simulated, which takes a while.
     fn resting_needles(&self) -> Vec<String> {
         let rests = |name: &String| {
             let mut scene = self.scene.clone();

@@ -1,4 +1,9 @@
 //! Where the needle lies when an episode begins.
+//!
+//! A place is three uniform numbers: x and y of the middle of the wire's arc, and the yaw. The
+//! needle is laid along the slope there and lifted until its whole wire is clear of the ground;
+//! `laying` then lets it settle. On a patient's organ places are drawn until one suits: level
+//! enough, within reach, and the wire close to the organ all along.
 
 use core::f64::consts::PI;
 use core::iter;
@@ -42,6 +47,9 @@ const GAP_M_MAX: f64 = 0.004;
 
 impl NeedleStart {
     /// The needle's pose at the start of the episode `seed`, just above the organ and flat on it.
+    /// The first x, y and yaw of a seed are the same on any ground. On a measured organ without a
+    /// place that suits it is taken as it is; `check_on` refuses such a scene when its file is
+    /// read.
     #[must_use]
     pub fn draw(&self, seed: u64, needle: &NeedleShape, organ: &Organ) -> Pose {
         let mut rng = Rng::stream(seed, "needle");
@@ -86,7 +94,8 @@ impl NeedleStart {
         }
     }
 
-    /// Whether `needle` can lie somewhere in the region; on made-up ground it can everywhere.
+    /// Whether `needle` can lie somewhere in the region; on made-up ground it can everywhere. Tries
+    /// the places of the seed 0, whatever episode there will be.
     pub(super) fn has_place(&self, needle: &NeedleShape, organ: &Organ) -> bool {
         if matches!(organ, Organ::Rolling(_)) {
             return true;
@@ -136,7 +145,8 @@ impl NeedleStart {
     }
 }
 
-/// Whether a needle at `pose` lies wholly on `organ`, not too steep and within reach.
+/// Whether a needle at `pose` lies wholly on `organ`, not too steep and within reach. 25 points of
+/// the wire are looked at.
 fn lies_well(pose: &Pose, needle: &NeedleShape, organ: &Organ) -> bool {
     let level = (pose * Vector3::z()).z >= LEVEL_MIN;
     let mut wire = needle.centre_line(25).into_iter().map(|point| pose * point);
@@ -149,7 +159,9 @@ fn lies_well(pose: &Pose, needle: &NeedleShape, organ: &Organ) -> bool {
 }
 
 /// The pose in which a needle centred over `x` and `y` lies along the organ's slope without
-/// touching it.
+/// touching it. `x` and `y` are those of the arc's centre, m; `yaw` is that of the direction of its
+/// bulge, seen from above, rad. The needle's z is the surface's normal below that centre, where
+/// there is no wire; hence the lift along the scene's z by the deepest of 25 points of the wire.
 fn flat_on(organ: &Organ, needle: &NeedleShape, x: f64, y: f64, yaw: f64) -> Pose {
     let normal = organ.normal(x, y).into_inner();
     let ahead = Vector3::new(yaw.cos(), yaw.sin(), 0.0);

@@ -1,5 +1,9 @@
 //! Block transfer: one arm takes a block off its peg, lifts it clear of the pegs and puts it on the
 //! pink one.
+//!
+//! Drawn for each episode: the peg on which the block starts, each but the goal as likely, and the
+//! goal peg too if the file names none; then how the block hangs on its peg, by [`BlockStart`]. The
+//! goal is the foot of the goal peg. On a board alone: there is no patient.
 
 mod board;
 mod script;
@@ -148,6 +152,7 @@ impl BlockTransfer {
         [start, goal].map(|peg| self.board.pegs_m[peg])
     }
 
+    /// Upright, just above the board, about its peg: shifted in x and y, and turned, all uniformly.
     fn block_at_start(&self, seed: u64) -> Pose {
         let [[x, y], _] = self.pegs(seed);
         let mut rng = Rng::stream(seed, "block");

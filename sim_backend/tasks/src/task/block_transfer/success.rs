@@ -11,6 +11,10 @@ use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard};
 use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
 /// What counts as a moved block, and what ends the episode at once.
+///
+/// Success: once the whole block has been `clear_m` above the pegs in the grip of both fingers, it
+/// sits on the goal peg as the limits down to `away_m` say, for `hold_s` without a break. That it
+/// was clear is remembered, also if it is dropped later.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuccessConfig {
@@ -77,11 +81,15 @@ pub(super) struct SuccessMonitor {
     config: SuccessConfig,
     block: BlockShape,
     board: BoardShape,
+    /// Where the goal peg stands, scene x and y, m.
     goal: [f64; 2],
+    /// The upper end of a blunt corner, block frame, by whose speed a throw is told.
     corner: Point3<f64>,
+    /// The block's pose a millisecond before; none at the first step.
     before: Option<Pose>,
     /// Highest speed of its ends in the newest step, m/s.
     speed_m_s: f64,
+    /// Whether the block has been above the pegs in the grip of both fingers; never taken back.
     cleared: bool,
     held: DwellTimer,
     safeguard: Safeguard,
@@ -114,7 +122,8 @@ impl SuccessMonitor {
         self.safeguard.end(&corner, sight, fallen)
     }
 
-    /// Whether the whole block is above the pegs in the grip of both fingers.
+    /// Whether the whole block is above the pegs in the grip of both fingers. The lowest corner of
+    /// its convex pieces decides.
     fn is_clear(&self, sight: &MonitorInput) -> bool {
         let ends = self.block.pieces().into_iter().flatten().flatten();
         let lowest = ends
@@ -149,7 +158,9 @@ impl SuccessMonitor {
             .at_least("tip away from it", "m", away_m, config.away_m)
     }
 
-    /// Highest speed of the block's ends since the last step.
+    /// Highest speed of the block's ends since the last step. Of an upper corner and of the middle
+    /// of the side opposite at its lower edge, by how far they moved in this millisecond; infinite
+    /// at the first step, so that it is never at rest there.
     fn speed_m_s(&mut self, pose: &Pose) -> f64 {
         let Some(before) = self.before.replace(*pose) else {
             return f64::INFINITY;

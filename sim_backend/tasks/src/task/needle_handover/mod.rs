@@ -1,5 +1,8 @@
 //! Needle handover: the right arm grasps a needle that lies on the liver and presents it, the left
 //! one takes it away.
+//!
+//! Drawn for each episode: where the needle lies, by [`NeedleStart`]. The goal is where the script
+//! presents it, [`Presented`]; the judge does not ask for that place.
 
 mod script;
 mod success;

@@ -16,6 +16,11 @@ use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 const LOOSE_S: f64 = 0.02;
 
 /// What counts as a handed-over needle, and what ends the episode at once.
+///
+/// Success has two stages. First the right arm alone holds the needle up for `given_s`; a needle
+/// that then is in no hand for 20 ms has not been given. Afterwards the left arm alone holds it up
+/// for `hold_s` without a break, the right arm being `away_m` from it. To hold is to press on it
+/// with both fingers, with `grip_force_n_min` each, the other arm not touching it.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuccessConfig {
@@ -80,8 +85,11 @@ pub(super) struct SuccessMonitor {
     config: SuccessConfig,
     needle: NeedleShape,
     organ: Organ,
+    /// Points of the centre line, needle frame, the pointed end last.
     wire: Vec<Point3<f64>>,
+    /// For how many milliseconds the first arm alone has held it up without a break.
     given_steps: u64,
+    /// Whether that has lasted, and the needle not been loose since.
     given: bool,
     /// For how long no arm has had it between its fingers.
     loose_steps: u64,

@@ -1,4 +1,7 @@
 //! Needle lift: one arm grasps a suture needle that lies on an organ, lifts it and holds it up.
+//!
+//! Drawn for each episode: where the needle lies, by [`NeedleStart`], and nothing else unless it is
+//! varied. There is no goal pose: up is enough.
 
 mod script;
 mod success;

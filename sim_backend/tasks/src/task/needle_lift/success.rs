@@ -10,6 +10,10 @@ use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard, clearance_m,
 use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
 /// What counts as a lifted needle, and what ends the episode at once.
+///
+/// Success: for `hold_s` without a break both fingers press on the needle with `grip_force_n_min`
+/// each, the middle of its arc is `lift_height_m` above the organ, and its whole wire `clearance_m`
+/// free of it.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuccessConfig {
@@ -70,7 +74,9 @@ const WIRE_POINTS: usize = 13;
 #[derive(Clone, Debug)]
 pub(super) struct SuccessMonitor {
     config: SuccessConfig,
+    /// The middle of the arc, needle frame: its height and speed are judged.
     middle: Point3<f64>,
+    /// Points of the centre line, needle frame; the lowest one decides about clearance.
     wire: Vec<Point3<f64>>,
     wire_radius_m: f64,
     organ: Organ,

@@ -24,6 +24,8 @@ const SMOOTHED: usize = 4;
 
 /// A height for each place of the scene, continuous: a step would tear what crosses it.
 pub(super) struct Ceiling {
+    /// [`SIDE`] squared, row by row from the corner with the lowest x and y, m; between them it is
+    /// bilinear.
     heights_m: Vec<f64>,
 }
 

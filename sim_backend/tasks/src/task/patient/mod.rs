@@ -89,6 +89,7 @@ pub struct Patient {
     pub lie: PatientPlacement,
     /// The organ as physics has it, scene frame.
     pub organ: Arc<Ground>,
+    /// The organ first, then its neighbours, all standing still; scene frame.
     visuals: Vec<Visual>,
 }
 
@@ -180,6 +181,7 @@ impl SceneFile {
         )
     }
 
+    /// The organ as it is `drawn`, which physics feels too, and what is around it.
     fn visuals(&self, parts: &[Part], drawn: Mesh, scene_from_scan: &Pose) -> Vec<Visual> {
         let around = neighbours::around(&drawn, &self.organ, parts, scene_from_scan);
         let own = parts.iter().filter(|part| part.name == self.organ);
@@ -191,6 +193,7 @@ impl SceneFile {
         organ.chain(around).map(Visual::still).collect()
     }
 
+    /// What is reported of the placement: the inverse of how the scan is moved.
     fn lie(&self, patch: &Patch, site: &Site) -> PatientPlacement {
         let scan_from_scene = patch.scene_from_scan.inverse();
         let middle = scan_from_scene * Point3::from(site.centre_m);

@@ -1,4 +1,10 @@
 //! Where on an organ to work: the flattest places of its front.
+//!
+//! A place is a vertex of the organ and its normal. Seen along that, the organ's highest surface is
+//! sampled every 4 mm within 60 mm either way: it must reach all around as far as the radius asks,
+//! and must not stand up beyond. The root mean square of its heights about their mean says how flat
+//! the place is. At most 500 vertices of the front are looked at, evenly spread over their list;
+//! there is no random choice.
 
 use hal::{Mesh, Pose};
 use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -12,6 +18,7 @@ pub(in crate::task) const WIDE: &[f64] = &[0.030];
 pub(super) const NARROW_TOO: &[f64] = &[0.030, 0.022, 0.016];
 /// How far around nothing of the organ may stand up, m, and how high, m.
 const AROUND_M: f64 = 0.060;
+/// Height above the plane that touches the place, m.
 const STANDS_UP_M: f64 = 0.015;
 /// Distance of the heights that a place is judged by, m.
 const SPACING_M: f64 = 0.004;
@@ -21,6 +28,7 @@ const FRONT_MIN: f64 = 0.5;
 /// Most places that are looked at; how many of them a task may choose from, and how far these are
 /// from each other, m.
 const PLACES_MAX: usize = 500;
+/// Most places of each radius that a task may choose from.
 const CHOICES: usize = 6;
 const APART_M: f64 = 0.015;
 /// Size of the body, m: no organ reaches further.
@@ -80,7 +88,7 @@ impl Patch {
     }
 
     /// The place `at` with the outward `normal`, at `centre_m` in the scene; none if the organ does
-    /// not reach all around.
+    /// not reach all around. Costs a pass over the whole mesh.
     fn at(
         mesh: &Mesh,
         at: &Point3<f64>,

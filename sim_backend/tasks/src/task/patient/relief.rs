@@ -1,4 +1,8 @@
 //! The upper side of a mesh as heights over a grid.
+//!
+//! A lattice about the origin, row by row: x changes fastest. Each triangle that faces up is
+//! rasterized over the points below it, and each point keeps the highest: overhangs hide what is
+//! under them.
 
 use std::ops::Range;
 
@@ -14,9 +18,12 @@ const AREA_MIN: f64 = 1e-14;
 
 /// Heights over a rectangle about the origin, NaN where there is nothing.
 pub(super) struct Relief {
+    /// The first point, x and y, m.
     low_m: [f64; 2],
     spacing_m: f64,
+    /// How many along x and along y; odd, so that one is at the origin.
     points: [usize; 2],
+    /// One for each point, m; NaN where there is no face that looks up.
     heights_m: Vec<f64>,
 }
 

@@ -41,6 +41,8 @@ pub(super) fn finer(mut mesh: Mesh, edge_m: impl Fn(&Point3<f64>) -> Option<f64>
     mesh
 }
 
+/// One round: every edge that is too long gets a vertex in its middle, shared by the faces on both
+/// sides; each face becomes one to four.
 fn halved(mut mesh: Mesh, edge_m: impl Fn(&Point3<f64>) -> Option<f64>) -> Mesh {
     let mut middles = BTreeMap::new();
     let faces = std::mem::take(&mut mesh.indices);

@@ -2,6 +2,9 @@
 //! pad's lip.
 //!
 //! On a patient the lip is a fold of an organ, on which the needle lies.
+//!
+//! Drawn for each episode: where the needle lies before the lip, by [`PadStart`]. The goal is the
+//! middle of the hole, unturned: the needle goes through along the scene's y.
 
 mod fold;
 mod pad;
@@ -64,6 +67,7 @@ const ON_ORGAN: Surface = Surface {
     friction: 0.5,
     patch_m: 0.0,
 };
+/// The same of what presses on it: each sample point of the instrument.
 const PRESSED_ORGAN: Surface = Surface {
     stiffness_n_m: 800.0,
     damping_n_s_m: 4.0,
@@ -109,7 +113,8 @@ pub struct SuturePad {
     pub success: SuccessConfig,
 }
 
-/// Where the needle may lie on the pad.
+/// Where the needle may lie on the pad. Unlike in [`NeedleStart`] the region is of the arc's
+/// centre, not of the wire's middle.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PadStart {

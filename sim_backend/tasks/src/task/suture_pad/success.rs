@@ -11,6 +11,9 @@ use crate::task::judge::{DwellTimer, Limits, PressLimit, Safeguard, is_off};
 use crate::task::{Criteria, Monitor, MonitorInput, Outcome};
 
 /// What counts as a needle through the hole, and what ends the episode at once.
+///
+/// Success: for `hold_s` without a break the wire leads from before the lip through the hole, and
+/// its point is `through_m` behind the lip. Whether a hand holds it does not matter.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuccessConfig {
@@ -67,7 +70,9 @@ impl SuccessConfig {
 /// Watches the needle.
 pub(super) struct SuccessMonitor {
     config: SuccessConfig,
+    /// Where the hole is; on a patient too, whose fold has the same one.
     pad: PadShape,
+    /// The patient's organ; none on the pad.
     organ: Option<Organ>,
     /// The wire in the needle frame, its point last.
     wire: Vec<Point3<f64>>,
@@ -91,6 +96,8 @@ impl SuccessMonitor {
         }
     }
 
+    /// The verdict of the safeguard, by the speed of the needle's point. Off the pad counts as
+    /// fallen when the middle of the arc is beside the plate or below its top.
     fn end(&mut self, sight: &MonitorInput) -> Option<Outcome> {
         let point = sight.thing_in_scene * self.wire[WIRE_POINTS - 1];
         let middle = sight.thing_in_scene * self.wire[WIRE_POINTS / 2];
@@ -103,6 +110,9 @@ impl SuccessMonitor {
     }
 
     /// Whether the wire leads from before the lip through the hole to its point behind the lip.
+    /// Followed from the blunt end: that has to be before the lip, every point within the lip's
+    /// thickness inside the square hole, and the needle's point far enough behind. A needle that
+    /// goes around the lip has points beside the hole there and fails.
     fn is_through(&self, needle_in_scene: &Pose) -> bool {
         let pad = &self.pad;
         let point = needle_in_scene * self.wire[WIRE_POINTS - 1];

@@ -3,6 +3,10 @@
 //!
 //! On a patient the flap was dissected off an organ: it looks as that does, and before it the
 //! surface is cut away.
+//!
+//! Drawn for each episode: where along the middle of the free edge the mark is; the flap always
+//! lies the same. There is no thing: what the task is about is the mark. There is no goal pose
+//! either.
 
 mod liver;
 mod script;
@@ -98,7 +102,7 @@ struct File {
     success: RetractionConfig,
 }
 
-/// `[look]`.
+/// `[look]`. It changes pictures alone: how near to the mark a grasp has to be is `[success]`'s.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Look {

@@ -1,4 +1,8 @@
 //! The flap's own monitor as a judge of the task.
+//!
+//! What counts and what is lost is decided in `trocar_world::tissue`; here its states become
+//! outcomes, faults of the simulation the invalid ones, and its numbers criteria. No `Safeguard` is
+//! needed: the flap's monitor has its own limits of force, stretch and speed.
 
 use trocar_world::tissue::{Retraction, RetractionConfig, RetractionMonitor};
 

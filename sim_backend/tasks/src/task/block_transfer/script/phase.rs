@@ -5,27 +5,34 @@ use crate::script::play::{Event, Grasp, Stage, Transition};
 /// What the script is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Phase {
-    /// On the way to above the block, opening the jaw.
+    /// On the way to above the block, opening the jaw. Follows the block, and ends `Style::aim_s`
+    /// after the motion.
     Approach,
-    /// Going down, one finger into the hole, the other one outside.
+    /// Going down, one finger into the hole, the other one outside. Ends when the motion is over
+    /// and the tip within 0.6 mm of the grasp, or 0.6 s later wherever it is.
     Descend,
-    /// Closing the jaw and waiting for a grip.
+    /// Closing the jaw and waiting for a grip. Gripped once both fingers touch, no sooner than
+    /// `Style::settle_s` after the motion; missed 0.5 s after it.
     Close,
-    /// Lifting the block above the pegs.
+    /// Lifting the block above the pegs. By as much as brings its lower end `Style::clear_m` above
+    /// the pegs. From here to the release the block is lost after four steps (160 ms) without touch
+    /// by both fingers.
     Lift,
-    /// Carrying it to above the goal peg.
+    /// Carrying it to above the goal peg. Ends when the motion is over and the tip within 0.6 mm of
+    /// where it brings the block, or 0.6 s later.
     Carry,
-    /// Lowering it over the goal peg.
+    /// Lowering it over the goal peg. Judged 0.1 s after the motion: a block that is more than 2 mm
+    /// too high is stuck on the peg, and lifted again.
     Lower,
-    /// Opening the jaw.
+    /// Opening the jaw. Ends 0.25 s after the motion.
     Release,
-    /// Rising from the block.
+    /// Rising from the block. Ends when the motion is over.
     Rise,
-    /// Looking at the block.
+    /// Looking at the block. After 1 s in an episode that still runs, another attempt begins.
     Rest,
-    /// Opening the jaw after a missed or lost grip.
+    /// Opening the jaw after a missed or lost grip. Ends 0.25 s after the motion.
     Open,
-    /// Rising before another attempt.
+    /// Rising before another attempt. High enough for the open fingers to pass over the pegs.
     Retreat,
 }
 

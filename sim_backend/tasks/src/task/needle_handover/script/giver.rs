@@ -12,27 +12,33 @@ use crate::script::wire::wire_hold;
 /// What the giver is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Phase {
-    /// On the way to above the needle, opening the jaw.
+    /// On the way to above the needle, opening the jaw. Follows the needle, and ends when the
+    /// motion is over.
     Approach,
-    /// Going down to the needle, jaw open.
+    /// Going down to the needle, jaw open. Ends when the motion is over and the tip within 0.6 mm
+    /// of the grasp, or 0.6 s later wherever it is.
     Descend,
-    /// Closing the jaw and waiting for a grip.
+    /// Closing the jaw and waiting for a grip. Gripped once both fingers touch, no sooner than
+    /// `Style::settle_s` after the motion; missed 0.5 s after it.
     Close,
-    /// Lifting the needle off the organ.
+    /// Lifting the needle off the organ. By 12 mm. From here to the release the needle is lost
+    /// after four steps (160 ms) without touch by both fingers.
     Lift,
-    /// Carrying it to where it is presented.
+    /// Carrying it to where it is presented. Ends when the motion is over and the tip within 0.6 mm
+    /// of its end, or 0.6 s later.
     Carry,
-    /// Holding it there.
+    /// Holding it there. Ends once the taker has gripped it.
     Present,
-    /// Opening the jaw: the other hand has it.
+    /// Opening the jaw: the other hand has it. Ends 0.3 s after the motion.
     Release,
-    /// Going up and outwards.
+    /// Going up and outwards. Outwards is +x of the scene; `Style::away_m` says how far.
     Withdraw,
-    /// Staying there.
+    /// Staying there. Ends if the taker waits and holds nothing: the needle has fallen, and is
+    /// fetched again.
     Rest,
-    /// Opening the jaw after a missed or lost grip.
+    /// Opening the jaw after a missed or lost grip. Ends 0.3 s after the motion.
     Open,
-    /// Rising before another attempt.
+    /// Rising before another attempt. Ends when the motion is over.
     Retreat,
 }
 

@@ -50,6 +50,7 @@ const FINGER_REACH_M: f64 = 0.001_5;
 pub(super) struct Passer {
     shape: NeedleShape,
     organ: Organ,
+    /// The RCM frames of giver and taker in the scene.
     bases: [Pose; 2],
     giver: Hand<Giver>,
     taker: Hand<Taker>,
@@ -75,6 +76,7 @@ pub(crate) struct View {
 }
 
 impl Script for Passer {
+    /// Both hands look before either moves on, so what one sees of the other is a step old.
     fn step(&mut self, now: TimeNs, scene: &SceneState) -> TipTargets {
         let [giver, taker] = self.views(scene);
         let first = self.giver.play(now, &giver);
@@ -85,6 +87,7 @@ impl Script for Passer {
         }
     }
 
+    /// Of both hands: 1 if neither had to try again.
     fn attempts(&self) -> u32 {
         self.giver.attempts() + self.taker.attempts() - 1
     }
@@ -100,6 +103,8 @@ impl Script for Passer {
             .take_care(care, Rng::stream(seed, "taker's care"));
     }
 
+    /// The needle goes along with the hand that holds it, the taker before the giver, and then is
+    /// put where that is in the other arm's frame too.
     fn foresee(&self, scene: &mut SceneState, wish: &TipTargets) {
         let (Some(taker), Some(wished)) = (&mut scene.second, &wish.second) else {
             return;

@@ -12,23 +12,29 @@ use crate::script::wire::wire_hold;
 /// What the taker is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Phase {
-    /// Waiting for the needle to be presented.
+    /// Waiting for the needle to be presented. Ends when the giver holds it out.
     Wait,
-    /// On the way to above the needle, opening the jaw.
+    /// On the way to above the needle, opening the jaw. Given up, as is the way down, when the
+    /// giver does not present the needle any more.
     Approach,
-    /// Going down to the needle, jaw open.
+    /// Going down to the needle, jaw open. Ends when the motion is over and the tip within 0.6 mm
+    /// of the grasp, or 0.6 s later wherever it is.
     Descend,
-    /// Closing the jaw and waiting for a grip.
+    /// Closing the jaw and waiting for a grip. Gripped once both fingers touch, no sooner than
+    /// `Style::settle_s` after the motion; missed 0.5 s after it. Goes on even if the giver loses
+    /// the needle meanwhile.
     Close,
-    /// Holding the needle until the other hand is gone.
+    /// Holding the needle until the other hand is gone. Ends when the giver rests, away from the
+    /// needle. Lost after four steps (160 ms) without touch by both fingers.
     Keep,
-    /// Taking the needle away.
+    /// Taking the needle away. Outwards, -x of the scene, and up by `Style::away_m`. Ends when the
+    /// motion is over.
     Take,
-    /// Holding it there.
+    /// Holding it there. Nothing but a loss ends it.
     Hold,
-    /// Opening the jaw after a missed or lost grip.
+    /// Opening the jaw after a missed or lost grip. Ends 0.3 s after the motion.
     Open,
-    /// Rising before another attempt.
+    /// Rising before another attempt. Then it waits for another offer.
     Retreat,
 }
 

@@ -5,27 +5,35 @@ use crate::script::play::{Event, Grasp, Stage, Transition};
 /// What the script is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Phase {
-    /// On the way to above the needle, opening the jaw.
+    /// On the way to above the needle, opening the jaw. Follows the needle, and ends when the
+    /// motion is over.
     Approach,
-    /// Going down to the needle, jaw open.
+    /// Going down to the needle, jaw open. Ends when the motion is over and the tip within 0.6 mm
+    /// of the grasp, or 0.6 s later wherever it is.
     Descend,
-    /// Closing the jaw and waiting for a grip.
+    /// Closing the jaw and waiting for a grip. Gripped once both fingers touch, no sooner than
+    /// `Style::settle_s` after the motion; missed 0.5 s after it. With the needle's point in the
+    /// hole already, the drive goes on from there.
     Close,
-    /// Lifting the needle to the height of the hole.
+    /// Lifting the needle to the height of the hole. From here on the needle is lost after four
+    /// steps (160 ms) without touch by both fingers.
     Lift,
-    /// Turning the needle and carrying it along the lip to before the hole.
+    /// Turning the needle and carrying it along the lip to before the hole. Ends when the motion is
+    /// over, the needle turned and `Style::aside_m` before where `Near` brings it.
     Cross,
-    /// Bringing its point up to the hole.
+    /// Bringing its point up to the hole. Ends when the motion is over and the tip within 0.4 mm of
+    /// where it lines the needle up, or 0.6 s later.
     Near,
-    /// Turning it through the hole about the middle of its arc.
+    /// Turning it through the hole, about the centre of its arc. Judged 0.2 s after the motion: the
+    /// point is 8.5 mm behind the lip, or the needle is stuck and turned back.
     Drive,
-    /// Turning it back.
+    /// Turning it back. To where it was lined up, for another attempt. Ends 0.2 s after the motion.
     Back,
-    /// Holding it there.
+    /// Holding it there. The last phase: not even a loss ends it, since the needle is through.
     Hold,
-    /// Opening the jaw after a missed or lost grip.
+    /// Opening the jaw after a missed or lost grip. Ends 0.3 s after the motion.
     Open,
-    /// Rising from the needle before another attempt.
+    /// Rising from the needle before another attempt. Ends when the motion is over.
     Retreat,
 }
 
