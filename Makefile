@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-adversary test-golden test-can test-python test-foxglove test-lerobot test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python setup-anatomy setup-lerobot bench clean
+.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-beside-short test-beside-long test-adversary test-golden test-can test-python test-foxglove test-lerobot test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python setup-anatomy setup-lerobot bench clean
 
 TARGET := $(abspath $(or $(CARGO_TARGET_DIR),target))
 TROCAR := $(TARGET)/release/trocar
@@ -45,11 +45,17 @@ test-in-turn:
 test-beside:
 	sleep 20
 	.ci/idle $(CARGO) test --workspace --tests $(LINTED) --no-run
-	.ci/idle $(MAKE) test-units
-	.ci/idle $(MAKE) test-clockless
-	.ci/idle $(MAKE) test-study
-	.ci/idle $(MAKE) test-anatomy-short
-	.ci/idle $(CARGO) test --workspace --doc
+	.ci/idle $(MAKE) -j2 --output-sync=target test-beside-short test-beside-long
+
+test-beside-short:
+	$(MAKE) test-units
+	$(MAKE) test-clockless
+
+# What one core does alone for minutes.
+test-beside-long:
+	$(MAKE) test-study
+	$(MAKE) test-anatomy-short
+	$(CARGO) test --workspace --doc
 
 test-units: setup
 	$(CARGO) test --workspace --lib -- --skip $(CLOCKED)
