@@ -174,7 +174,11 @@ fn keys_are_the_operators_commands() {
     ] {
         assert_eq!(pressed(KeyCode::Char(key)), said(text), "{key}");
     }
-    let slow = wish(KeyEvent::new(KeyCode::Char('-'), KeyModifiers::NONE), 5, None);
+    let slow = wish(
+        KeyEvent::new(KeyCode::Char('-'), KeyModifiers::NONE),
+        5,
+        None,
+    );
     assert_eq!(slow, said("speed 1"));
     assert_eq!(pressed(KeyCode::Char('k')), None);
     for quit in [

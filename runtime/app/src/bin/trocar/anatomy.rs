@@ -11,7 +11,7 @@ use trocar_anatomy::build::{LEVELS_MAX, Options, Stage};
 use trocar_anatomy::surface::Method;
 use trocar_anatomy::texture::SIDE_PX;
 
-use crate::args::within;
+use crate::args::between;
 use crate::commands::Done;
 use crate::console;
 use crate::segment::{self, SegmentArgs, TrainSegmenterArgs};
@@ -170,15 +170,15 @@ enum Surface {
 }
 
 fn error_mm(text: &str) -> Result<f64, String> {
-    within(text, 0.01, 10.0)
+    between(text, 0.01, 10.0)
 }
 
 fn island_mm3(text: &str) -> Result<f64, String> {
-    within(text, 0.0, 1e5)
+    between(text, 0.0, 1e5)
 }
 
 fn side_mm(text: &str) -> Result<f64, String> {
-    within(text, 0.5, 50.0)
+    between(text, 0.5, 50.0)
 }
 
 pub(crate) fn anatomy(verb: &AnatomyVerb) -> Done {

@@ -40,7 +40,7 @@ pub(crate) fn threads() -> RangedU64ValueParser<usize> {
 }
 
 /// A number from `low` to `high`.
-pub(crate) fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
+pub(crate) fn between(text: &str, low: f64, high: f64) -> Result<f64, String> {
     match text.parse() {
         Ok(value) if (low..=high).contains(&value) => Ok(value),
         _ => Err(format!("expected a number in [{low}, {high}]")),
@@ -49,7 +49,7 @@ pub(crate) fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
 
 /// A number from 0 to 1.
 pub(crate) fn share(text: &str) -> Result<f64, String> {
-    within(text, 0.0, 1.0)
+    between(text, 0.0, 1.0)
 }
 
 /// A delay in ms.

@@ -11,7 +11,7 @@ use trocar::session::{SessionError, outputs};
 use trocar_nets::segmenter::Weighting;
 use trocar_train::SegmenterTraining;
 
-use crate::args::{ComputeDevice, threads, within};
+use crate::args::{ComputeDevice, between, threads};
 use crate::commands::{Done, device};
 use crate::console;
 
@@ -117,15 +117,15 @@ pub(crate) struct TrainSegmenterArgs {
 }
 
 fn overlap(text: &str) -> Result<f64, String> {
-    within(text, 0.0, 0.9)
+    between(text, 0.0, 0.9)
 }
 
 fn memory_gb(text: &str) -> Result<f64, String> {
-    within(text, 0.001, 1000.0)
+    between(text, 0.001, 1000.0)
 }
 
 fn spacing_mm(text: &str) -> Result<f64, String> {
-    within(text, 1.0, 12.0)
+    between(text, 1.0, 12.0)
 }
 
 /// `trocar anatomy segment`. The table at the end has the volume of each tissue group and, with
