@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use image::codecs::gif::GifDecoder;
 use image::imageops::{self, FilterType};
-use image::{AnimationDecoder, ImageFormat, RgbImage, RgbaImage};
+use image::{AnimationDecoder, Frame, ImageFormat, RgbImage, RgbaImage};
 
 use super::load::{Evaluation, Trial};
 
@@ -54,31 +54,44 @@ fn kept(
     names.into_iter().flatten().find(|path| path.is_file())
 }
 
-/// Scaled down as they are decoded, since a whole animation in full size would fill the memory; a
-/// damaged one has the frames before the damage.
-fn read(path: &Path) -> Option<Vec<RgbaImage>> {
+/// The frames of an animation, in full size; a damaged one has the frames before the damage.
+fn frames(path: &Path) -> Option<impl Iterator<Item = RgbaImage>> {
     let decoder = GifDecoder::new(BufReader::new(File::open(path).ok()?)).ok()?;
     let frames = decoder.into_frames().take(FRAMES_MAX);
-    let frames: Vec<RgbaImage> = frames
-        .map_while(Result::ok)
-        .map(|frame| {
-            let full = frame.into_buffer();
-            let height = WIDTH * full.height() / full.width().max(1);
-            imageops::resize(&full, WIDTH, height.max(1), FilterType::Triangle)
-        })
-        .collect();
-    (!frames.is_empty()).then_some(frames)
+    Some(frames.map_while(Result::ok).map(Frame::into_buffer))
 }
 
-/// Up to `MOMENTS` frames side by side, the first and the last among them.
+/// The frames of the strip, scaled down. The animation is decoded twice, first to count its frames:
+/// all of them in full size would fill the memory, and scaling takes longer than decoding.
+fn read(path: &Path) -> Option<Vec<RgbaImage>> {
+    let wanted = moments(frames(path)?.count());
+    let kept = frames(path)?.enumerate();
+    let kept = kept.filter(|(index, _)| wanted.contains(index));
+    Some(kept.map(|(_, frame)| scaled(&frame)).collect())
+}
+
+/// Which of `count` frames are in the strip: up to `MOMENTS`, evenly spaced, the first and the last
+/// among them.
+fn moments(count: usize) -> Vec<usize> {
+    let moments = MOMENTS.min(count);
+    let last = count.saturating_sub(1);
+    (0..moments)
+        .map(|moment| moment * last / (moments - 1).max(1))
+        .collect()
+}
+
+fn scaled(full: &RgbaImage) -> RgbaImage {
+    let height = WIDTH * full.height() / full.width().max(1);
+    imageops::resize(full, WIDTH, height.max(1), FilterType::Triangle)
+}
+
+/// The frames side by side.
 fn strip(frames: &[RgbaImage]) -> Option<Vec<u8>> {
     let (width, height) = frames.first()?.dimensions();
-    let moments = MOMENTS.min(frames.len());
-    let mut sheet = RgbImage::new(width * u32::try_from(moments).ok()?, height);
-    for moment in 0..moments {
-        let frame = frames.get(moment * (frames.len() - 1) / (moments - 1).max(1))?;
+    let mut sheet = RgbImage::new(width * u32::try_from(frames.len()).ok()?, height);
+    for (place, frame) in frames.iter().enumerate() {
         let colours = image::DynamicImage::ImageRgba8(frame.clone()).to_rgb8();
-        let x = i64::from(width) * i64::try_from(moment).ok()?;
+        let x = i64::from(width) * i64::try_from(place).ok()?;
         imageops::replace(&mut sheet, &colours, x, 0);
     }
     let mut png = Cursor::new(Vec::new());
@@ -89,21 +102,38 @@ fn strip(frames: &[RgbaImage]) -> Option<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use image::Rgba;
+    use image::codecs::gif::GifEncoder;
 
     use super::*;
 
+    fn grey(value: u8) -> RgbaImage {
+        RgbaImage::from_pixel(300, 8, Rgba([value, value, value, 255]))
+    }
+
     #[test]
     fn a_strip_goes_from_the_first_frame_to_the_last() {
-        let frames: Vec<RgbaImage> = (0..100_u8)
-            .map(|grey| RgbaImage::from_pixel(10, 4, Rgba([grey, 0, 0, 255])))
-            .collect();
-        let png = strip(&frames).unwrap();
+        let path = std::env::temp_dir().join(format!("trocar-strip-{}.gif", std::process::id()));
+        let mut encoder = GifEncoder::new(File::create(&path).unwrap());
+        let frames = (0..100_u8).map(|value| Frame::new(grey(value)));
+        encoder.encode_frames(frames).unwrap();
+        drop(encoder);
+        let kept = read(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let png = strip(&kept).unwrap();
         let picture = image::load_from_memory(&png).unwrap().to_rgb8();
-        assert_eq!(picture.dimensions(), (60, 4));
-        let reds: Vec<u8> = (0..6)
-            .map(|moment| picture.get_pixel(10 * moment + 5, 2).0[0])
+        assert_eq!(picture.dimensions(), (6 * WIDTH, 4));
+        let greys: Vec<u8> = (0..6)
+            .map(|moment| picture.get_pixel(WIDTH * moment + 5, 2).0[0])
             .collect();
-        assert_eq!(reds, [0, 19, 39, 59, 79, 99]);
+        assert_eq!(greys, [0, 19, 39, 59, 79, 99]);
         assert!(strip(&[]).is_none());
+    }
+
+    #[test]
+    fn a_short_animation_has_each_frame_once() {
+        assert_eq!(moments(0), [0_usize; 0]);
+        assert_eq!(moments(1), [0]);
+        assert_eq!(moments(3), [0, 1, 2]);
+        assert_eq!(moments(7), [0, 1, 2, 3, 4, 6]);
     }
 }

@@ -1,5 +1,6 @@
 //! Facts about verdicts: what holds, what breaks a hold, what loses.
 
+use hal::Pose;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use trocar_world::Grasp;
 
