@@ -145,7 +145,8 @@ fn edges_are_smooth_in_colour_and_sharp_in_ids() {
     renderer.set_shading(Shading::Fine);
     let fine = shoot(&mut renderer, &poses, &camera);
     assert!(fine.instance.iter().all(|id| [100, 200].contains(id)));
-    let inside = [within(&full, 100), within(&full, 200)].concat();
+    // On the wall the box's shadow has an edge, too.
+    let inside = within(&full, 200);
     let changed = |pixel: &usize| (grey(&full, *pixel) - grey(&fine, *pixel)).abs() > 12.0;
     let at_edges = (0..full.instance.len()).filter(changed).count();
     assert!((40..400).contains(&at_edges), "{at_edges}");
@@ -185,10 +186,12 @@ fn half_lit(shading: Shading, height_m: f64) -> usize {
 
 #[test]
 fn the_edge_of_a_fine_shadow_is_as_wide_as_its_caster_is_high() {
-    let [low, high] = [0.006, 0.03].map(|height_m| half_lit(Shading::Fine, height_m));
-    assert!(high > 2 * low, "{low} {high}");
-    let [low, high] = [0.006, 0.03].map(|height_m| half_lit(Shading::Full, height_m));
-    assert!(high < 2 * low, "{low} {high}");
+    let [low, high] = [0.004, 0.03].map(|height_m| {
+        let [full, fine] =
+            [Shading::Full, Shading::Fine].map(|shading| half_lit(shading, height_m));
+        fine as f64 / full as f64
+    });
+    assert!(high > 2.0 && low < 1.5, "{low} {high}");
 }
 
 #[test]
