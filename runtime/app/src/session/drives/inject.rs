@@ -196,11 +196,21 @@ impl Injector {
                 }
                 Stage::Active if fault.is_over(since_ns) => {
                     *stage = Stage::Over;
-                    self.end(&fault, network, outside);
+                    if !self.has_active(&fault) {
+                        self.end(&fault, network, outside);
+                    }
                 }
                 Stage::Waiting | Stage::Active | Stage::Over => {}
             }
         }
+    }
+
+    /// Whether a fault of the same kind and node is active: where two overlap, only the end of the
+    /// last one undoes them.
+    fn has_active(&self, fault: &InjectedFault) -> bool {
+        self.faults.iter().any(|(other, stage)| {
+            *stage == Stage::Active && (other.kind, other.node) == (fault.kind, fault.node)
+        })
     }
 
     /// What has an effect at once has it here; the rest is put among `meddling`.

@@ -350,6 +350,19 @@ fn a_short_silence_is_bridged() {
     assert!(rig.bus().notes.stops.is_empty());
 }
 
+/// Two faults begin together; the end of the shorter one leaves the other.
+#[test]
+fn overlapping_faults_last_until_the_last_one_ends() {
+    let faults = [
+        "kind=silence,node=3,at=50ms",
+        "kind=silence,node=3,at=50ms,for=4ms",
+    ];
+    let mut rig = Rig::new(Space::Joint, &faults);
+    rig.ticks(300);
+    assert!(rig.faulted);
+    assert_eq!(rig.bus().notes.injected, 2);
+}
+
 #[test]
 fn a_bus_off_is_for_the_process_to_tell() {
     let mut rig = Rig::new(Space::Joint, &["kind=bus-off,node=3,at=20ms"]);
