@@ -126,7 +126,7 @@ impl LogView {
     pub(super) fn time(&self, seconds: f64) -> TimeNs {
         let (first, at) = self.first;
         let ticks = self.tick(seconds.min(self.seconds())).saturating_sub(first);
-        at.plus_ns(ticks * TICK_NS)
+        TimeNs(at.0.saturating_add(ticks.saturating_mul(TICK_NS)))
     }
 
     /// The scene's file, if the log has a scene.
@@ -328,7 +328,8 @@ impl Recomputed {
             arm.command = logged.command;
         }
         let before = self.last.replace(logged.tick);
-        let gap = before.map_or(0, |before| logged.tick.saturating_sub(before + 1));
+        let next = before.map_or(logged.tick, |before| before.saturating_add(1));
+        let gap = logged.tick.saturating_sub(next);
         self.skipped += gap.saturating_sub(step.dropped_before);
         if let Some(chunk) = step
             .chunks
@@ -389,7 +390,7 @@ impl Recomputed {
     fn note(&mut self, record: &TickRecord, first: u64) {
         let begins = |last: &mut Option<u64>| {
             let before = last.replace(record.tick);
-            before.is_none_or(|before| record.tick >= before + APART_TICKS)
+            before.is_none_or(|before| record.tick >= before.saturating_add(APART_TICKS))
         };
         for (name, arm) in ARM_NAMES.into_iter().zip(record.arms.iter()) {
             let mut text = None;
@@ -402,7 +403,7 @@ impl Recomputed {
                 text = Some(format!("{name}: a chunk is refused: {}", refusal(gate)));
             }
             if let Some(text) = text {
-                let seconds = seconds(record.tick - first);
+                let seconds = seconds(record.tick.saturating_sub(first));
                 self.events.push(EventFacts { seconds, text });
             }
         }
@@ -421,7 +422,7 @@ impl Recomputed {
         // The end of a run is what one looks for.
         let surplus = self.events.len().saturating_sub(EVENTS_MAX);
         self.events.drain(..surplus);
-        let length = self.last.unwrap_or(first) - first;
+        let length = self.last.unwrap_or(first).saturating_sub(first);
         let mut facts = self.facts.of_log(seconds(length));
         let scene_file = self.scene.file();
         facts.scene = scene_file.is_some();

@@ -5,9 +5,9 @@ use core::fmt;
 
 use hal::{ARM_NAMES, TimeNs};
 
-use super::Driver;
 use super::source::closed;
 use super::status::{ArmStatus, TeleopStatus};
+use super::{Driver, SCALES};
 
 const OPERATOR_DRIVES: &str = "the operator drives";
 const POLICY_DRIVES: &str = "the policy drives";
@@ -17,6 +17,9 @@ const LET_GO: &str = "the operator released the clutch";
 const RELEASED: &str = "the operator's hand was released: ";
 const BLOCKED: &str = "the hand can't engage: ";
 const FREE: &str = "the hand can engage";
+
+/// A reason that is longer, bytes, is none of ours. Each later change holds it again.
+const WHY_LEN_MAX: usize = 200;
 
 /// A change, as a line of the log.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,7 +56,9 @@ impl HandsNotice {
             _ => {}
         }
         if let Some(scale) = line.strip_prefix(SCALE) {
-            return scale.parse().ok().map(Self::Scale);
+            let scale = scale.parse::<f64>().ok();
+            let scale = scale.filter(|scale| SCALES.contains(scale));
+            return scale.map(Self::Scale);
         }
         let (name, words) = line.split_once(": ")?;
         let arm = ARM_NAMES.iter().position(|known| *known == name)?;
@@ -63,7 +68,10 @@ impl HandsNotice {
 
 impl HandNotice {
     fn read(words: &str) -> Option<Self> {
-        let because = |start: &str| words.strip_prefix(start).map(str::to_owned);
+        let because = |start: &str| {
+            let why = words.strip_prefix(start)?;
+            (why.len() <= WHY_LEN_MAX).then(|| why.to_owned())
+        };
         match words {
             ENGAGED => Some(Self::Engaged),
             LET_GO => Some(Self::LetGo),
@@ -250,10 +258,14 @@ mod tests {
             "psm3: the hand can engage",
             "the hand can engage",
             "the scale of the operator's hands is large",
+            "the scale of the operator's hands is NaN",
+            "the scale of the operator's hands is 1.5",
             "",
         ] {
             assert_eq!(HandsNotice::read(line), None, "{line}");
         }
+        let long = hand(0, HandNotice::Released("x".repeat(WHY_LEN_MAX + 1)));
+        assert_eq!(HandsNotice::read(&long.to_string()), None);
     }
 
     /// A hand takes over from a policy, is lost, engages anew and hands back.
