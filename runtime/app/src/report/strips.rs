@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use image::codecs::gif::GifDecoder;
 use image::imageops::{self, FilterType};
-use image::{AnimationDecoder, Frame, ImageFormat, RgbImage, RgbaImage};
+use image::{AnimationDecoder, Frame, ImageDecoder, ImageFormat, Limits, RgbImage, RgbaImage};
 
 use super::load::{Evaluation, Trial};
 
@@ -16,6 +16,9 @@ const MOMENTS: usize = 6;
 
 /// Width of one, pixels.
 const WIDTH: u32 = 150;
+
+/// Height of one at most, pixels: that of a damaged animation may be anything.
+const HEIGHT_MAX: u32 = 4 * WIDTH;
 
 /// Frames of an animation that are looked at; no episode has more.
 const FRAMES_MAX: usize = 20_000;
@@ -56,7 +59,8 @@ fn kept(
 
 /// The frames of an animation, in full size; a damaged one has the frames before the damage.
 fn frames(path: &Path) -> Option<impl Iterator<Item = RgbaImage>> {
-    let decoder = GifDecoder::new(BufReader::new(File::open(path).ok()?)).ok()?;
+    let mut decoder = GifDecoder::new(BufReader::new(File::open(path).ok()?)).ok()?;
+    decoder.set_limits(Limits::default()).ok()?;
     let frames = decoder.into_frames().take(FRAMES_MAX);
     Some(frames.map_while(Result::ok).map(Frame::into_buffer))
 }
@@ -82,7 +86,12 @@ fn moments(count: usize) -> Vec<usize> {
 
 fn scaled(full: &RgbaImage) -> RgbaImage {
     let height = WIDTH * full.height() / full.width().max(1);
-    imageops::resize(full, WIDTH, height.max(1), FilterType::Triangle)
+    imageops::resize(
+        full,
+        WIDTH,
+        height.clamp(1, HEIGHT_MAX),
+        FilterType::Triangle,
+    )
 }
 
 /// The frames side by side.
@@ -110,13 +119,18 @@ mod tests {
         RgbaImage::from_pixel(300, 8, Rgba([value, value, value, 255]))
     }
 
+    /// An animation of so many frames, each of which is brighter than the one before.
+    fn animation(name: &str, count: u8) -> PathBuf {
+        let path = std::env::temp_dir().join(format!("trocar-{name}-{}.gif", std::process::id()));
+        let mut encoder = GifEncoder::new(File::create(&path).unwrap());
+        let frames = (0..count).map(|value| Frame::new(grey(value)));
+        encoder.encode_frames(frames).unwrap();
+        path
+    }
+
     #[test]
     fn a_strip_goes_from_the_first_frame_to_the_last() {
-        let path = std::env::temp_dir().join(format!("trocar-strip-{}.gif", std::process::id()));
-        let mut encoder = GifEncoder::new(File::create(&path).unwrap());
-        let frames = (0..100_u8).map(|value| Frame::new(grey(value)));
-        encoder.encode_frames(frames).unwrap();
-        drop(encoder);
+        let path = animation("strip", 100);
         let kept = read(&path).unwrap();
         std::fs::remove_file(&path).unwrap();
         let png = strip(&kept).unwrap();
@@ -127,6 +141,18 @@ mod tests {
             .collect();
         assert_eq!(greys, [0, 19, 39, 59, 79, 99]);
         assert!(strip(&[]).is_none());
+    }
+
+    /// The header says 65535 x 65535 pixels, which are 17 GB a frame.
+    #[test]
+    fn an_animation_of_an_absurd_size_has_no_strip() {
+        let path = animation("absurd-strip", 2);
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[6..10].fill(0xff);
+        std::fs::write(&path, bytes).unwrap();
+        let kept = read(&path).unwrap_or_default();
+        std::fs::remove_file(&path).unwrap();
+        assert!(strip(&kept).is_none());
     }
 
     #[test]
