@@ -1,8 +1,8 @@
 //! Buses with emulated drives and a master, in virtual time.
 //!
-//! Virtual time moves only in `advance`: frames arrive in the order of their last bits, and every
-//! 0.5 ms each drive reads its motor and looks at its clock. The same calls give the same frames,
-//! whatever the host does.
+//! Virtual time moves only in `advance`: on each bus frames arrive in the order of their last bits,
+//! and every 0.5 ms each drive reads its motor and looks at its clock. The same calls give the same
+//! frames, whatever the host does.
 
 mod passage;
 mod seat;
@@ -86,7 +86,7 @@ impl<M> core::fmt::Debug for Network<M> {
 ///
 /// At construction the master is number 0 and the time 0.
 pub struct Network<M> {
-    /// Of the newest event; frames that are sent are queued at this time.
+    /// Of the event at hand; frames that are sent are queued at this time.
     now: TimeNs,
     /// A whole multiple of [`NODE_STEP_NS`].
     next_step: TimeNs,

@@ -1,8 +1,9 @@
 //! One bus on which frames take their time and the lowest identifier goes first.
 //!
 //! A frame takes its exact length on the wire, stuff bits included (`bus_load::bits`), at the bit
-//! rate. Arbitration takes place when the bus is free: the lowest identifier of what is queued then
-//! wins, and a frame that has begun is not interrupted. No bit errors, no error frames.
+//! rate. Arbitration takes place when the bus is free: the lowest identifier among the frames that
+//! the controllers offer wins, and a frame that has begun is not interrupted. No bit errors, no
+//! error frames.
 
 use std::collections::VecDeque;
 
@@ -25,7 +26,7 @@ struct Port {
     order: Order,
     /// Frames, the one on the wire not among them.
     capacity: usize,
-    /// Off the bus its frames wait, and nobody hears them.
+    /// Off the bus nothing of its queue is sent; a change of this empties the queue.
     attached: bool,
     queue: VecDeque<(TimeNs, Frame)>,
 }

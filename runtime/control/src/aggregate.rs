@@ -4,10 +4,10 @@
 //! Source: ACT's temporal ensembling (weights `exp(-m i)`, `i = 0` the oldest prediction), by due
 //! time instead of by query count, so that late and missing chunks do no harm.
 //!
-//! With `w_i = exp(-m i)` and `p_i` the targets at one instant: the position is
-//! `sum w_i p_i / sum w_i`, the rotation the weighted sum of quaternions brought to one hemisphere
-//! and normalised, the jaw that of the newest chunk, without a mean. `i` counts only chunks that
-//! cover the instant. A positive `m` favours the oldest prediction, a negative one the newest.
+//! With `w_i = exp(-m i)` and `p_i` the target positions at one instant: the position is `sum w_i
+//! p_i / sum w_i`, the rotation the weighted sum of quaternions brought to one hemisphere and
+//! normalised, the jaw that of the newest chunk, without a mean. `i` counts only chunks that cover
+//! the instant. A positive `m` favours the oldest prediction, a negative one the newest.
 
 use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{ARMS_MAX, Chunk, TimeNs, TipTarget, count};
@@ -127,7 +127,8 @@ impl Aggregator {
     /// chunk.
     ///
     /// Each is interpolated between two steps of a chunk: positions and jaw linearly, rotations
-    /// along the shorter arc. Costs one interpolation a chunk that covers `at`, at most 128.
+    /// along the shorter arc. An ensemble costs two interpolations for each chunk that covers `at`,
+    /// of which there are at most 128; the other modes cost two.
     #[must_use]
     pub fn targets(&self, at: TimeNs, ahead: TimeNs) -> Option<(TipTarget, TipTarget)> {
         let both = |chunk: &Chunk| Some((in_chunk(chunk, at)?, in_chunk_or_last(chunk, ahead)?));
@@ -206,8 +207,8 @@ impl Aggregator {
         &self.ring[(self.next + RING - self.count + rank) % RING]
     }
 
-    /// `both` gives a chunk's targets at the two instants; both means use the same weights, so that
-    /// their difference is a velocity of the same blend.
+    /// `both` gives a chunk's targets at the two instants. Both means have the same chunks and
+    /// weights, so their difference is the motion of one blend.
     fn ensemble(
         &self,
         both: impl Fn(&Chunk) -> Option<(TipTarget, TipTarget)>,

@@ -200,8 +200,9 @@ impl ArmControl {
         }
     }
 
-    /// Finds the fault of a measurement: none, not finite, out of the mechanism's range, or too far
-    /// from the command. Without torque the command is put where the arm is; true then.
+    /// Finds what is wrong with a measurement: missing, not finite, out of the mechanism's range,
+    /// or too far from the command. Without torque it sets the command to the measured position and
+    /// returns true.
     fn look_at(&mut self, measured: &Result<ArmState, ArmError>) -> bool {
         self.measured = None;
         let fault = match measured {
@@ -319,8 +320,7 @@ impl ArmControl {
     /// The share of the speed limits that holds: the operator's, and less right after the arm was
     /// enabled.
     ///
-    /// Rises linearly from [`START_PACE`] to 1 over the soft start, times the operator's share; 0
-    /// if that is 0.
+    /// Rises linearly from [`START_PACE`] to 1 over the soft start, times the operator's share.
     fn pace(&self, now: TimeNs) -> f64 {
         let since_s = TimeNs(now.since(self.enabled_at)).seconds();
         let ramp_s = TimeNs(self.soft_start_ns).seconds();

@@ -35,7 +35,7 @@ pub struct Controller<const ARMS: usize = 1> {
     filter: Filter,
     guard: Guard<ARMS>,
     config: ControlConfig,
-    /// When the newest tick was. None before the first tick.
+    /// Time of the newest tick; none before the first.
     newest: Option<TimeNs>,
     /// What a test breaks, to see what the rest is worth.
     #[cfg(test)]
@@ -295,8 +295,8 @@ impl<const ARMS: usize> Controller<ARMS> {
         self.guard.next(commanded, requests)
     }
 
-    /// Takes over what the guard decided, releases the drives where they may be, and reports. What
-    /// the QP did and how many rows are active is reported of arms that follow alone.
+    /// Takes over what the guard decided, releases the drives where they may be, and reports. The
+    /// QP's outcome and the number of active rows are reported only for arms that follow.
     fn finish(
         &mut self,
         index: usize,

@@ -12,10 +12,9 @@
 //! whole speed limit costs as much as one of the jaw by its own, and the small joint weight keeps
 //! `P` positive definite where `J` is singular.
 //!
-//! A bound `low <= u <= high` reads `d <= (high - u_nominal) / v_max` and
-//! `-d <= (u_nominal - low) / v_max`; a row of geometry `a . u <= b` reads
-//! `(S a / v_tip) . d <= (b - a . u_nominal) / v_tip`; a cone `|M u| <= r` is divided by its whole
-//! limit.
+//! A bound `low <= u <= high` reads `d <= (high - u_nominal) / v_max` and `-d <= (u_nominal - low)
+//! / v_max`; a row of geometry `a . u <= b` reads `(S a / v_tip) . d <= (b - a . u_nominal) /
+//! v_tip`; a cone `|M u| <= r` is divided by the tip's limit without `speed_fraction` and pace.
 
 use nalgebra::SMatrix;
 
@@ -145,8 +144,8 @@ impl Filter {
 
     /// The velocities nearest to `nominal` that satisfy `rows`, which were filled for `stances`.
     ///
-    /// Costs one check of all rows in most ticks; the QP is built and solved only if a row is
-    /// violated. A solution is checked against the rows that it came from before it counts.
+    /// The QP is built and solved only if `nominal` violates a row. A solution counts only if it
+    /// passes the same check.
     pub fn filter(
         &mut self,
         nominal: &Velocities,

@@ -149,9 +149,9 @@ impl KinematicState {
     /// For the shaft the point is `fraction` of the way from the remote centre, where the insertion
     /// does not move it, to the wrist.
     ///
-    /// Rows x, y, z, m/s; columns the six joints and the jaw. `fraction` counts for the shaft
-    /// alone. A finger turns by half the jaw's velocity, and not at all where the jaw is outside 0
-    /// to `JAW_MAX`.
+    /// Rows x, y, z, in m/s per rad/s (per m/s for the insertion); columns the six joints and the
+    /// jaw. `fraction` counts for the shaft alone. A finger turns by half the jaw's velocity, and
+    /// not at all where the jaw is outside 0 to `JAW_MAX`.
     #[must_use]
     pub fn point_jacobian(
         &self,

@@ -1,8 +1,8 @@
 //! The controller's configuration files as they are written; `config.rs` checks what they say.
 //!
 //! Keys carry their unit. An unknown key is an error, so that a misspelt limit is not silently
-//! missing; what may be left out says so with `default`. Ranges are checked in `config/sections.rs`
-//! and `config/scene.rs`.
+//! missing; what may be left out has a `default` or is an `Option`. Ranges are checked in
+//! `config/sections.rs` and `config/scene.rs`.
 
 use serde::Deserialize;
 

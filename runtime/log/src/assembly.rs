@@ -1,10 +1,10 @@
 //! Puts the messages of a log together into ticks, and the metadata into what is known of the run.
 //!
 //! Messages of one tick come in this order: chunks and what happened, the second arm's measurement,
-//! set-point and report with its tick message, the first arm's with timing and frames, and last the
-//! first arm's tick message, which completes the tick. A message that a tick must have once and has
-//! twice, or not at all, is an error: the bytes have changed, since a cut file ends between whole
-//! chunks of the file.
+//! set-point and report with its tick message, the first arm's with timing and coordinate frames,
+//! and last the first arm's tick message, which completes the tick. A message that a tick must have
+//! once and has twice, or not at all, is an error: the bytes have changed, since a cut file ends
+//! between whole chunks of the file.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;

@@ -116,9 +116,7 @@ struct Input<'a, R> {
 
 /// What comes next in a file.
 enum Found {
-    /// A whole record, which is in [`Input::record`].
-    ///
-    /// The first byte of its head.
+    /// A whole record, which is in [`Input::record`]; its first byte is `opcode`.
     Record { opcode: u8 },
     /// The end of the file where a record should be, and where that is.
     Cut(String),
@@ -222,7 +220,7 @@ impl<'a, R: Read> Input<'a, R> {
         &self.record
     }
 
-    /// For people: at which byte, and inside which record.
+    /// The reason for people: at which byte, and inside which record.
     fn cut(&self) -> Found {
         let place = if self.end == self.begin {
             "before the end of the data".to_owned()

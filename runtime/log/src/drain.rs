@@ -2,8 +2,8 @@
 //!
 //! One loop: all ticks with their chunks, all scenes, then one frame, event or state of the buses,
 //! and again; 2 ms of sleep when nothing has come. It is the only thread that writes the file;
-//! `sync` brings it to the disk from another. It allocates and blocks; nothing that it does reaches
-//! back to the control thread but a full queue.
+//! `sync` brings it to the disk from another. It allocates and blocks; all that the control thread
+//! can notice of it is a full queue.
 
 use std::fs::File;
 use std::io::BufWriter;

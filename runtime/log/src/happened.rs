@@ -9,8 +9,8 @@ use super::record::TickRecord;
 
 /// Tells changes of each arm's state from its ticks.
 ///
-/// Pure: the same ticks give the same events, in the log, at a live viewer and of a log that is
-/// read.
+/// Deterministic: the same ticks give the same events, in the log, for a live viewer and when a log
+/// is read.
 #[derive(Debug)]
 pub struct StateChanges([Said; ARMS_MAX]);
 

@@ -2,9 +2,10 @@
 //!
 //! Four metadata records of strings: `run` (task, policy, seed, lockstep, view, and what applies of
 //! needle, varied, `left_out`), `versions`, `configuration` (file name to text), and at the end
-//! `outcome` (counts, `input_hash`, `contents_sha256`, and of a run that was closed success,
-//! reason, `command_hash`, mark, label, teleop). Numbers are decimal, hashes hexadecimal with 16
-//! digits (FNV-1a) or 64 (SHA-256). Keys that are not known are passed over.
+//! `outcome` (counts, `input_hash`, `contents_sha256`, `goes_on` if another file follows, and of a
+//! run that was closed success, reason, `command_hash`, mark, label, teleop). Numbers are decimal,
+//! hashes hexadecimal with 16 digits (FNV-1a) or 64 (SHA-256). Keys that are not known are passed
+//! over.
 
 use std::collections::BTreeMap;
 use std::fmt;

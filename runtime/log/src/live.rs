@@ -201,7 +201,7 @@ pub fn safety(tick: &TickRecord) -> impl Iterator<Item = (&'static str, Vec<u8>)
 /// The messages of `tick`, each with its topic; the one before in this stream was at `previous`,
 /// and the arms' remote centres are at `rcms_in_scene`.
 ///
-/// Unlike in the log, frames come with every tick.
+/// Unlike in the log, coordinate frames come with every tick.
 #[must_use]
 pub fn tick(
     tick: &TickRecord,
@@ -221,8 +221,7 @@ pub fn tick(
 
 /// Adds measurement and set-point of each arm to `messages`.
 ///
-/// Without a measurement these are set-point and jaw alone, and without a finite one there is no
-/// pose of the tip.
+/// Without a measurement these are set-point and jaw alone; the pose of the tip needs a finite one.
 fn add_arms(tick: &TickRecord, messages: &mut Vec<(&'static str, Vec<u8>)>) {
     let mut joints = JointMessages::new();
     for (index, arm) in tick.arms.iter().enumerate() {

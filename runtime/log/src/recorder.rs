@@ -134,7 +134,8 @@ pub struct TickLog {
     chunk_count: u64,
     /// Each arm's chunk for the coming tick.
     pending_chunks: [Option<u64>; ARMS_MAX],
-    /// Over everything that was handed over, dropped or not: a replay of a log with a gap shows it.
+    /// Over everything that was handed over, dropped or not: in a log with a gap the replay's hash
+    /// differs.
     inputs: InputHash,
     /// Of a log with a bound.
     snapshots: Option<SnapshotFeed>,

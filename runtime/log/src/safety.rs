@@ -1,6 +1,6 @@
 //! The controller's report in JSON, for people and plots; a replay recomputes it and compares.
 //!
-//! Equal reports have equal bytes, since the fields have a fixed order and numbers one text each: a
+//! Equal reports have equal bytes, since fields have a fixed order and each number has one text: a
 //! replay compares bytes, and looks for the field only where they differ.
 
 use hal::TipTarget;
@@ -125,7 +125,7 @@ pub(super) type ReportDifference = (String, String, String);
 /// Compares the logged message of `tick` with `report`.
 ///
 /// None if they are the same to the byte. The first field that differs is named `safety.` and its
-/// key; a tick without a report differs as a whole. Fields that only one of both has count as
+/// key; a tick without a report differs as a whole. A field that only one of them has counts as
 /// different.
 pub(super) fn difference(
     tick: u64,

@@ -2,8 +2,8 @@
 //!
 //! Log time and publish time of a message are the same: that of its tick, frame or event, ns since
 //! the run began. Sequence numbers count by channel from 0. The file's chunks are closed every 250
-//! ms of log time or at 1 MiB, compressed, and written in one piece, so that a crash leaves whole
-//! chunks and loses less than that time.
+//! ms of log time or at 1 MiB, compressed, and written in one piece: a crash of the process loses
+//! what is in the queues and about the last 250 ms.
 
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};

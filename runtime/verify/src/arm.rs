@@ -57,7 +57,7 @@ pub(super) struct Arm {
     before: Before,
     /// Since the beginning; the arm played its tail in them, which is no violation.
     pub(super) skipped_periods: u64,
-    /// None before the first command. The tails and the pair look at it.
+    /// None before the first command. Tails and pair are checked with it.
     pub(super) newest: Option<Newest>,
     /// How the newest command with torque says that the axes move: velocities, and accelerations of
     /// the joints.
@@ -264,7 +264,8 @@ impl Arm {
 
     /// Checks a command that moves the arm.
     ///
-    /// The first command after a gap has a place and no motion: its predecessor is not known.
+    /// Of the first command after a gap only the place is checked, since its predecessor is not
+    /// known.
     fn powered(&mut self, ledger: &mut Ledger, command: &ArmCommand, at: &Instrument) {
         let sample = positions(command);
         self.places(ledger, Moment::Command, &sample, at);
@@ -359,7 +360,7 @@ impl Arm {
     }
 }
 
-/// Joints and jaw in one row.
+/// Joints and jaw in one array.
 fn axes(joints: &JointVector, jaw: f64) -> [f64; AXES] {
     let mut all = [jaw; AXES];
     for (value, &joint) in all.iter_mut().zip(joints.iter()) {

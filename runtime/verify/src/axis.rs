@@ -147,7 +147,7 @@ impl Axis {
         ledger.judge(limit, acceleration.abs(), REST, acceleration, 0.0);
     }
 
-    /// The next command may be out of range, and sets what is allowed from then on.
+    /// The next command may be out of range, and sets how far out later ones may be.
     pub(super) fn forget(&mut self) {
         self.range.iter_mut().for_each(Boundary::forget);
     }

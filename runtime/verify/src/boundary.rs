@@ -13,7 +13,7 @@ pub(super) enum Moment {
 }
 
 impl Moment {
-    /// Of a pair of limits the one for this moment.
+    /// Of a command's limit and its tail's, the one for this moment.
     pub(super) const fn of(self, [command, tail]: [LimitId; 2]) -> LimitId {
         match self {
             Self::Command => command,
@@ -33,7 +33,7 @@ pub(super) struct Boundary {
     limits: [LimitId; 2],
     /// The same for the bound that came back.
     again: [LimitId; 2],
-    /// In the unit of the value: m, or rad of an axis.
+    /// In the unit of the value: m, or rad of an axis that turns.
     bound: f64,
     /// 1 if the value must be at least the bound, -1 if at most.
     side: f64,

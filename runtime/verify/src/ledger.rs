@@ -45,7 +45,7 @@ pub(super) struct Ledger {
 struct Limit {
     arm: String,
     name: String,
-    /// None of a limit that nothing was judged by.
+    /// None while no value was judged by this limit.
     worst: Option<Extreme>,
     broken: u64,
 }

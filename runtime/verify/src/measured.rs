@@ -2,9 +2,9 @@
 //! commands may still come too near.
 //!
 //! Commands keep their distance by the guard's margin; a measured arm may use that margin up, and
-//! is judged by the boundary itself. A part counts as gone out only after it was within by the
-//! margin once since the arm got its torque: an arm that is switched on beyond a boundary breaks
-//! nothing by being there.
+//! is judged by the boundary itself. A part can break a limit only once it has been within by the
+//! margin since the arm got its torque: an arm that is switched on beyond a boundary breaks nothing
+//! by being there.
 
 use hal::ArmState;
 use serde::Serialize;

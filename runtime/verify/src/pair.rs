@@ -1,9 +1,8 @@
 //! The gaps between two instruments: their shafts, and the tips of either from the shaft of the
 //! other. Tips may meet.
 //!
-//! A shaft is a capsule of [`SHAFT_RADIUS_M`], the other part a centre line of the same thickness.
-//! The gaps are checked at each tick for both arms as commanded, at each millisecond of both tails,
-//! and for both as measured.
+//! Each part is a capsule of radius [`SHAFT_RADIUS_M`]. The gaps are checked at each tick for both
+//! arms as commanded, at each millisecond of both tails, and for both as measured.
 
 use hal::psm::SHAFT_RADIUS_M;
 use nalgebra::Point3;

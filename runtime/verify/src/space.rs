@@ -1,8 +1,8 @@
 //! One arm's boundaries in space: its workspace, and the regions that no part of it may touch.
 //!
 //! The workspace is for the three points that work, each coordinate by itself; a region is for all
-//! four parts along their whole length. As commands have their own bounds here, the margins of
-//! filter and guard do not enter: a command may go up to the boundary.
+//! four parts along their whole length. The margins of filter and guard do not enter: a command may
+//! go up to the boundary.
 
 use super::boundary::{Boundary, Moment};
 use super::chain::{Instrument, LINK_NAMES, LINKS, POINT_NAMES};
@@ -43,8 +43,8 @@ impl Space {
         Self { walls, regions }
     }
 
-    /// A region costs a search for each part, which ends early once the part is proven to be
-    /// further away than it was at its nearest.
+    /// A region costs a search for each part; it ends once the gap is proven to be larger than the
+    /// smallest one so far.
     pub(super) fn check(&mut self, ledger: &mut Ledger, moment: Moment, at: &Instrument) {
         for (walls, point) in self.walls.iter_mut().zip(at.points()) {
             for (pair, &value) in walls.iter_mut().zip(point.iter()) {
@@ -64,7 +64,7 @@ impl Space {
         }
     }
 
-    /// The next command may be outside, and sets what is allowed from then on.
+    /// The next command may be outside, and sets how far out later ones may be.
     pub(super) fn forget(&mut self) {
         let walls = self.walls.iter_mut().flatten().flatten();
         let regions = self.regions.iter_mut().flat_map(|(_, each)| each);

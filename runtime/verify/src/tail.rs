@@ -1,9 +1,9 @@
 //! Checks the stop that travels with a command, by playing it.
 //!
 //! A tail is three phases of constant jerk an axis, as `hal::SafeTail` has them. It is played in
-//! steps of a millisecond, ends of phases in between: derivatives are exact at the ends of phases
-//! and where the speed peaks, places and the tip's speeds are checked once a millisecond. A stop of
-//! 0.4 s is 400 steps. A log holds no tails, so they are checked only where the controller runs.
+//! steps of a millisecond, which end early where a phase ends. Derivatives are checked after each
+//! step and where the speed peaks, places and the tip's speeds once a millisecond. A stop of 0.4 s
+//! is 400 steps. A log holds no tails, so they are checked only where the controller runs.
 
 use hal::SafeTail;
 use hal::tail::{AxisTail, TailPhase};
@@ -35,8 +35,8 @@ pub(super) struct Tails {
 
 /// The limits of one axis's tail.
 ///
-/// Opened once for each axis; a tail breaks `tail.yaw.jerk`, `tail.yaw.start_velocity`,
-/// `tail.yaw.rest_velocity` or `tail.yaw.duration`.
+/// Opened once for each axis, under names such as `tail.yaw.jerk`, `tail.yaw.start_velocity`,
+/// `tail.yaw.rest_velocity` and `tail.yaw.duration`.
 #[derive(Clone, Debug)]
 struct TailAxis {
     bounds: [f64; 3],
@@ -290,7 +290,7 @@ impl Tails {
 
     /// Plays one arm's tail for a period and checks where the arm is then.
     ///
-    /// An arm without torque has tails of no length, and nothing else to be checked.
+    /// Of an arm without torque no place is checked: its tail must have no length.
     fn step(
         &self,
         ledger: &mut Ledger,

@@ -13,7 +13,8 @@ use super::table::{PDO_COUNT, PRODUCT_CODE, REVISION};
 /// The data sheet of a drive with `objects`, as it lies in `config/eds/trocar_drive.eds`.
 ///
 /// Sections in this order: file, device, dummies, comments, the three lists of objects, then one
-/// section an object and sub-index. Limits and presets are decimal.
+/// section an object and sub-index. Limits and presets are decimal, COB-IDs that depend on the node
+/// are `$NODEID` plus a hexadecimal number.
 #[must_use]
 pub fn render(objects: &[Object]) -> String {
     let mut text = header();
@@ -54,7 +55,7 @@ const BIT_RATES: [(u32, u8); 8] = [
 
 /// The sections of CiA 306 that describe file and device.
 ///
-/// `Granularity=8` says that mappings are in whole bytes.
+/// With units, dummy entries and comments; `Granularity=8` says that mappings are in whole bytes.
 fn header() -> String {
     let rates: String = BIT_RATES
         .iter()

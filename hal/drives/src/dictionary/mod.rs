@@ -14,7 +14,7 @@ use trocar_canopen::NodeId;
 use trocar_canopen::bytes::{Bytes, TEXT_MAX};
 use trocar_canopen::cia301::{AbortCode, Address};
 
-/// A node's values, sorted by address.
+/// A node's values, sorted by address: a look-up is a binary search.
 #[derive(Clone, Debug)]
 pub struct Dictionary {
     cells: Vec<Cell>,
@@ -22,8 +22,6 @@ pub struct Dictionary {
 
 /// A sub-index with its present value. `low` and `high` bound numbers; `preset` is what a reset
 /// restores.
-///
-/// A look-up is a binary search over the addresses.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
     address: Address,

@@ -28,7 +28,7 @@ pub struct AxisConfig {
     pub decelerations: (u32, u32),
     /// Following error window, counts.
     ///
-    /// 6065h; FFFF FFFFh for none.
+    /// Preset and greatest setting of 6065h; FFFF FFFFh for none.
     pub following_window: u32,
     /// Whether leaving operational for pre-operational counts as a lost connection, too. CiA 402-2
     /// has 6007h act when NMT stopped is entered, and says nothing of pre-operational.

@@ -31,7 +31,8 @@ pub struct Feedback {
     pub position_counts: f64,
     /// Velocity, counts/s.
     ///
-    /// Reported in 606Ch; a stop has ended once it is small.
+    /// Reported in 606Ch. A stop ends once it is below a hundredth of the greatest speed, or 100 ms
+    /// after the ramp.
     pub velocity_counts_s: f64,
     /// Torque, per mille of the rated one.
     ///
@@ -66,8 +67,8 @@ const REST_NS_MAX: u64 = 100_000_000;
 
 /// What happens at the end of a stop.
 ///
-/// An event of the power state machine that a transition has put off until the axis stands: with it
-/// the drive loses its torque or leaves a quick stop or a fault reaction.
+/// `Send` holds the event that the power state machine gets once the axis stands; with it the drive
+/// loses its torque.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum AtRest {
     Stay,
@@ -89,9 +90,10 @@ pub(super) struct Drive {
     offset: f64,
     /// Lost at power-on and at the start of a homing that moves.
     homed: bool,
-    /// Some while a homing that moves is under way.
+    /// Present while a homing that moves is under way.
     search: Option<homing::Search>,
-    /// 6040h as it was written last; edges are against this one.
+    /// 6040h as it was written last, against which edges are found. A lost connection clears bits 0
+    /// to 3.
     control: u16,
     /// Whether something else than "enable operation" was said since the quick stop began.
     rearmed: bool,

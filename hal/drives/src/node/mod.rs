@@ -120,8 +120,7 @@ impl Node {
 
     /// Starts the node: boot-up, then pre-operational.
     ///
-    /// The drive is not homed then: the home offset of before is lost, as that of an incremental
-    /// encoder.
+    /// The drive is not homed then: it has lost its reference, as with an incremental encoder.
     pub fn power_on(&mut self, now: TimeNs, out: &mut Outbox) {
         self.reset(Area::All, now, out);
     }
@@ -294,8 +293,8 @@ impl Node {
     /// A SYNC: the set-points of synchronous RPDOs take effect, then synchronous TPDOs are sent.
     ///
     /// A SYNC has a counter byte if and only if 1019h is not 0; another length is ignored and
-    /// raises an emergency. A valid one is noted in pre-operational too; entering another state
-    /// forgets it.
+    /// raises an emergency. In pre-operational only its time is noted, until another state is
+    /// entered.
     fn on_sync(&mut self, now: TimeNs, data: &[u8], out: &mut Outbox) {
         let counted = self.dictionary.get(index::SYNC_COUNTER) != 0;
         let sync = match Sync::parse(data) {

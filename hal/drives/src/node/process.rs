@@ -38,7 +38,7 @@ pub(super) struct Transmit {
     syncs: u8,
     /// Whether the SYNC's start value has come.
     started: bool,
-    /// When and what was sent last; a change is one of any byte.
+    /// When and what was sent last; any other byte counts as a change.
     last: Option<(TimeNs, Payload)>,
 }
 
@@ -139,8 +139,8 @@ impl Node {
     /// Puts the values of the RPDO `number` where its mapping says, the control word last: it acts
     /// on the others.
     ///
-    /// Each value passes the same checks as an SDO write, so a target outside 607Dh is cut later,
-    /// in the drive, and a mode that the drive lacks is ignored here.
+    /// Each value passes the checks of an SDO write: a mode that the drive lacks is ignored here, a
+    /// target beyond 607Dh is cut in the drive.
     fn unpack(&mut self, now: TimeNs, number: u8, payload: &Payload, out: &mut Outbox) {
         let mut control = None;
         let mut rest = payload.as_slice();

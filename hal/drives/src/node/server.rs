@@ -3,9 +3,9 @@
 //! CiA 301, section 7.2.4.
 //!
 //! Answers go out with the request, under 580h plus the node's number; the client's are under 600h
-//! plus it. Aborts that a client may meet: 0503 0000h toggle bit, 0504 0000h time-out, 0504 0001h
-//! unknown command, 0602 0000h no object, 0607 0010h length, and those of `rules`. Block transfers
-//! are refused as an unknown command.
+//! plus it. Among the aborts that a client may meet are 0503 0000h toggle bit, 0504 0000h time-out,
+//! 0504 0001h unknown command, 0602 0000h no object, 0607 0010h length, and those of `rules`. Block
+//! transfers are refused as an unknown command.
 
 use super::{Node, Outbox};
 use hal::TimeNs;
@@ -33,7 +33,7 @@ pub(super) enum Transfer {
         address: Address,
         /// A copy as it was at the request: what changes later is not mixed in.
         data: Bytes,
-        /// Bytes that are on their way or there.
+        /// Bytes sent up to now.
         sent: usize,
         toggle: bool,
         /// When the newest segment came; the time-out counts from here.

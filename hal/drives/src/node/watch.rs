@@ -23,9 +23,9 @@ pub(super) struct Watches {
     /// By entry of 1016h. None until the node was heard: CiA 301 starts the time with the first
     /// heartbeat.
     last_heartbeat: [Option<TimeNs>; CONSUMER_COUNT as usize],
-    /// The time-out was acted on; until the node is heard again it is not once more.
+    /// The time-out was acted on, which happens once until the node is heard again.
     silent: [bool; CONSUMER_COUNT as usize],
-    /// None until the first SYNC of this phase, before which none can be lost.
+    /// None until the first SYNC in this NMT state, before which none can be lost.
     sync: Option<TimeNs>,
 }
 

@@ -129,8 +129,8 @@ impl<const N: usize> Factors<N> {
 
     /// Makes a row active, the last one; false if it depends on those that are.
     ///
-    /// A Householder reflection of `J2` turns `J2' c` onto the first of its columns; its length, up
-    /// to sign, is the new diagonal entry of `R`.
+    /// A Householder reflection of the columns of `J2` leaves of `J2' c` only its first entry: the
+    /// length, up to sign, which is the new diagonal entry of `R`.
     pub(super) fn add(&mut self, seen: &Seen<N>) -> bool {
         let first = self.count;
         if seen.free_squared <= 0.0 || first >= N {

@@ -26,12 +26,12 @@ const TOLERANCE: f64 = 1e-12;
 impl<const N: usize> Method<N> {
     /// From the optimum without cones to the one with them.
     ///
-    /// Ends when a step is shorter than [`CONVERGED`], the model was exact and all cones hold. If
-    /// they do not, the faded multipliers are dropped and it goes on.
+    /// Ends when a step is shorter than [`CONVERGED`], no multiplier of the model was a faded one,
+    /// and all cones hold. After a short step with a faded multiplier or a violated cone it drops
+    /// the remembered multipliers and goes on.
     ///
-    /// # Errors
-    /// [`Failure::IterationLimit`] after [`MODELS_MAX`] models, and what [`Method::settle`]
-    /// returns.
+    /// # Errors [`Failure::IterationLimit`] after [`MODELS_MAX`] models, [`Failure::Infeasible`]
+    /// where a model cannot be built, and what [`Method::settle`] returns.
     pub(super) fn meet_cones(&mut self) -> Result<Entry, Failure> {
         for _ in 0..MODELS_MAX {
             self.count_iteration()?;

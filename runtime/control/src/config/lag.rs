@@ -1,9 +1,9 @@
 //! How far arms are behind their commands, and what the margins must leave for it.
 //!
 //! A lag in time becomes one in space by a speed: with `v` the bound of a finger tip's speed, `g`
-//! what it gains during a stop, `T` the tick and `L` the drives' lag, the guard must keep
-//! `v T / 2 + g L` and the filter `v L` beyond that. A scene that has less is refused when it is
-//! loaded.
+//! what it gains during a stop, `T` the tick and `L` the time by which a measured arm is behind its
+//! commands, the guard's margin must be at least `v T / 2 + g L` and the filter's `v L` more than
+//! the guard's. A scene that has less is refused when it is loaded.
 
 use hal::config::{ConfigError, Source, number_text};
 use hal::joints::INSERTION;
@@ -65,8 +65,8 @@ impl FingerSpeeds {
 
 /// The speed that an axis gains during a stop until its acceleration has ended, rad/s (m/s).
 ///
-/// With full acceleration at the stop's begin the jerk needs `a / j` to end it, in which the speed
-/// grows by `a^2 / (2 j)`.
+/// With full acceleration at the beginning of the stop the jerk needs `a / j` to end it, in which
+/// the speed grows by `a^2 / (2 j)`; never by more than its limit.
 fn gained(axis: &AxisLimits) -> f64 {
     axis.velocity
         .min(axis.acceleration * axis.acceleration / (2.0 * axis.jerk))

@@ -55,7 +55,7 @@ pub(super) fn scene(source: &Source) -> Result<Scene, ConfigError> {
 }
 
 /// `guard_m` 0.1 to 20 mm, `filter_m` from there to 20 mm, `recovery_m` 0.01 to 1 mm. Whether they
-/// hold the lag of the drives is checked later, when the speeds are known.
+/// are enough for the lag of the drives is checked later, when the speeds are known.
 fn margins(source: &Source, file: &SafetyFile) -> Result<Margins, ConfigError> {
     let margins = &file.margins;
     source.check_range("margins.guard_m", margins.guard_m, 1e-4, 0.02)?;
@@ -140,7 +140,7 @@ fn check_entries(
 
 /// Each arm must reach some place of its workspace.
 ///
-/// A grid of 25³ places is tried, so a box that the arm grazes in less than a grid step may be
+/// A grid of 25³ places is tried, so a box of which the arm reaches less than a grid step may be
 /// refused.
 pub(super) fn check_reach(
     source: &Source,
@@ -158,7 +158,7 @@ pub(super) fn check_reach(
     Ok(())
 }
 
-/// Places along each edge of a box that are looked at.
+/// Grid steps along each edge of a box.
 const PLACES: u32 = 24;
 
 /// Whether the control point reaches some place of `workspace`, or one that the wrist may bend to
@@ -180,9 +180,9 @@ fn reaches(workspace: &Block, axes: &[AxisLimits; AXES]) -> bool {
     (0..=PLACES).any(|x| (0..=PLACES).any(|y| (0..=PLACES).any(|z| reached(x, y, z))))
 }
 
-/// The workspace box is given in the scene's frame along its axes, and turned into the arm's, where
-/// it is a box in general orientation. `rpy` is roll about the fixed x, pitch about the fixed y,
-/// then yaw about the fixed z.
+/// The file has the workspace as a box along the scene's axes; in the arm's RCM frame it is a box
+/// in general orientation. `rpy` is roll about the fixed x, pitch about the fixed y, then yaw about
+/// the fixed z.
 fn arm(
     source: &Source,
     index: usize,

@@ -23,7 +23,8 @@ use crate::stop::Stop;
 
 /// A stop, the positions that it takes, and where its links are on the way.
 ///
-/// `ranges` are exact, from the closed form; the sweep has 21 samples and bounds between them.
+/// `ranges` are exact, from the closed form; the sweep has at most 21 samples, and bounds on what
+/// happens between them.
 #[derive(Clone, Debug)]
 struct Path {
     stop: Stop,
@@ -33,8 +34,8 @@ struct Path {
 
 /// The limits of one arm, and the verified stop from where it is commanded to be.
 ///
-/// Of each candidate first the step from the present state, then its stop's axes, both in closed
-/// form, then its stop in space; the first failure ends the check.
+/// A candidate is checked in this order: the step from the present state and the axes of its stop,
+/// both in closed form, then its stop in space. The first failure ends the check.
 #[derive(Clone, Debug)]
 pub(super) struct ArmGuard {
     axes: [AxisLimits; AXES],
@@ -253,8 +254,8 @@ impl ArmGuard {
     /// Samples the candidate's stop and bounds what can happen between the samples.
     ///
     /// At most 20 intervals. Leaves the sweep in the scene's frame if arms are compared. A stop
-    /// that begins beyond a boundary goes out no further than by the recovery margin, and keeps
-    /// what it has come back.
+    /// that begins beyond a boundary goes out by no more than the recovery margin, measured from as
+    /// far as it has come back.
     fn verify_in_space(&mut self) -> bool {
         let stop = self.fresh.stop;
         let mut before = Sample::new(&stop.at(0.0), &self.boundaries, &[true; CLEARANCES]);
@@ -366,8 +367,8 @@ impl ArmGuard {
 
     /// Whether the tip is slow enough between two samples.
     ///
-    /// Speed: at most the faster end, or the mean of both plus what the acceleration allows in half
-    /// the gap. Turning: the faster end plus an eighth of the second derivative times the gap
+    /// Speed: the greater of the faster end and the mean of both ends plus acceleration times half
+    /// the gap. Angular speed: the faster end plus an eighth of its second derivative times the gap
     /// squared.
     fn tip_keeps(&self, before: &Sample, after: &Sample, bounds: &Bounds) -> bool {
         let ends = (before.tip_speed_m_s, after.tip_speed_m_s);

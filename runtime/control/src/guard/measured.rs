@@ -1,8 +1,8 @@
 //! How near the measured instruments came to their boundaries. Hot path: bounded, no allocation, no
 //! I/O, no lock.
 //!
-//! The guard decides nothing by these figures: they are for the end of a run. What the guard keeps
-//! for a deviation (`allowances`) is here since both go through the same parts.
+//! The guard decides nothing by these figures: they are for the end of a run. `allowances`, which
+//! the guard does use, is here since both go through the same parts.
 
 use hal::ArmState;
 use serde::Serialize;

@@ -159,8 +159,8 @@ impl Pair {
     /// something that is less than `floor_m`.
     ///
     /// In the common case one distance decides: the arms are further apart than both can travel.
-    /// Otherwise all 21 times 21 pairs of samples are looked at, but for those that the triangle
-    /// inequality rules out.
+    /// Otherwise it looks at the pairs of samples, at most 21 times 21, but for those that the
+    /// triangle inequality rules out.
     fn least(
         &self,
         kind: usize,

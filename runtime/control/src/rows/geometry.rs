@@ -89,8 +89,8 @@ pub(super) fn region(
 struct Place {
     link: Link,
     point_m: Vector3<f64>,
-    /// Of the way along the link, 0 to 1: on the shaft the insertion moves a point by as much of
-    /// itself.
+    /// Of the way along the link, 0 to 1. On the shaft, also the share of the insertion's motion
+    /// that a point makes.
     fraction: f64,
 }
 

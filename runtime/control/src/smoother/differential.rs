@@ -2,7 +2,7 @@
 //!
 //! Both get the same numbers, three axes at a time. Either both refuse, or durations and the states
 //! at nine moments agree to 1e-9, or the port breaks the jerk limit, which only one kind of problem
-//! may show.
+//! may do.
 
 use rsruckig::prelude as port;
 

@@ -6,7 +6,7 @@
 //! bits, and every byte of every safety report. At the end: the state that ends the file, the hash
 //! over the inputs, the hash over the commands that the run reported, and the hash over the log's
 //! contents. Host timing, frames and events are compared by the last one alone. The first
-//! difference ends the replay, since all that follows may come of it.
+//! difference ends the replay, since later ones may follow from it.
 
 mod arm;
 mod kept;

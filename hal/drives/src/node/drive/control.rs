@@ -5,9 +5,9 @@
 //! Bits 0 to 3 and 7 are the command, bit 4 starts homing in homing mode, bit 8 is halt. A fault is
 //! reset on the rising edge of bit 7 alone.
 //!
-//! Option codes: 605Ah quick stop (0 coast, 1 ramp, 2 quick ramp, 5 and 6 the same and stay in
-//! quick stop active), 605Bh shutdown and 605Ch disable operation (0 coast, 1 ramp), 605Dh halt (1
-//! ramp, 2 quick ramp). The ramp is 6084h, the quick ramp 6085h.
+//! Option codes: 605Ah quick stop (0 coast, 1 ramp, 2 quick ramp, 5 and 6 as 1 and 2, but it stays
+//! in quick stop active), 605Bh shutdown and 605Ch disable operation (0 coast, 1 ramp), 605Dh halt
+//! (1 ramp, 2 quick ramp). The ramp is 6084h, the quick ramp 6085h.
 
 use super::{AtRest, Drive};
 use crate::dictionary::Dictionary;
@@ -18,9 +18,8 @@ use trocar_canopen::index;
 impl Drive {
     /// Takes the control word; tells whether it reset a fault.
     ///
-    /// Called on every write of 6040h, also of the same value: edges are then none. The command is
-    /// level-sensitive, so that a drive which was late for a transition makes it with the next
-    /// word.
+    /// Called on every write of 6040h. Fault reset and homing act on edges, the command on the
+    /// level: a transition that was not possible yet is made with a later word of the same value.
     pub(in super::super) fn on_control(&mut self, now: TimeNs, dictionary: &Dictionary) -> bool {
         let raw: u16 = dictionary.get_as(index::CONTROL);
         let before = ControlView(core::mem::replace(&mut self.control, raw));
@@ -93,8 +92,8 @@ impl Drive {
 
     /// Bit 8 of the control word: brakes when it is set, as 605Dh says.
     ///
-    /// The drive keeps its torque and its state; the next SYNC after the bit is cleared moves it
-    /// again.
+    /// The drive keeps its torque and its state; in cyclic mode the next SYNC after the bit is
+    /// cleared moves it again.
     fn halt(&mut self, now: TimeNs, halt: bool, dictionary: &Dictionary) {
         if halt && !self.halted {
             let quick = dictionary.get(index::HALT_OPTION) == 2;

@@ -56,7 +56,7 @@ impl Drive {
 
     /// What 6007h says about a lost master.
     ///
-    /// 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. The command bits of the control word
+    /// 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. Bits 0 to 3 of the stored control word
     /// are cleared in any case, so that the drive does not enable itself when its stop is over.
     pub(in super::super) fn lose_connection(&mut self, now: TimeNs, dictionary: &Dictionary) {
         match dictionary.get(index::ABORT_OPTION) {

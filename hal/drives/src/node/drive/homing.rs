@@ -19,7 +19,7 @@ const AHEAD_NS: u64 = 1_000_000;
 /// A homing sequence under way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Search {
-    /// Moves forward only; an edge of bit 4 begins anew.
+    /// Moves forward only; a rising edge of bit 4 begins anew.
     phase: Phase,
     /// When the velocity was last changed.
     since: TimeNs,
@@ -86,7 +86,7 @@ impl Drive {
     ///
     /// Each look changes the velocity by at most 609Ah times the time since the last, and points a
     /// line of 1 ms ahead. Any stop, halt, change of mode or loss of torque ends the sequence, and
-    /// the axis is not homed then. Speeds are 6099h:01 and 6099h:02, below the greatest speed.
+    /// the axis is not homed then. Speeds are 6099h:01 and 6099h:02, at most the greatest speed.
     pub(super) fn search(&mut self, now: TimeNs, dictionary: &Dictionary) {
         let (Some(mut search), Some(direction)) = (self.search.take(), direction(dictionary))
         else {

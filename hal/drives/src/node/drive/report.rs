@@ -17,8 +17,8 @@ impl Drive {
         self.motion.at(now).0 - self.actual()
     }
 
-    /// Whether the following error is beyond its window (6065h), and has been for longer than
-    /// 6066h.
+    /// Whether the following error is beyond its window (6065h) now: bit 13 of the status word. The
+    /// time 6066h is [`Self::leaves_its_window`]'s.
     ///
     /// A window of FFFF FFFFh switches the supervision off (CiA 402-2, 6065h).
     fn deviates(&self, now: TimeNs, dictionary: &Dictionary) -> bool {
@@ -45,10 +45,10 @@ impl Drive {
 
     /// Writes the actual values and the status word into the dictionary.
     ///
-    /// Called after everything that changes the drive, so that an SDO or a TPDO never reads an
-    /// older state than the one that was acted on. `remote` and `warning` are bits of the status
-    /// word that the node knows. Bit 12 says in cyclic mode that the drive follows the command, in
-    /// homing that the axis is homed; the limit switches are bits 0 and 1 of 60FDh.
+    /// Called after everything that changes the drive, so that an SDO or a TPDO never reads a state
+    /// from before that change. `remote` and `warning` are bits of the status word that the node
+    /// knows. Bit 12 says in cyclic mode that the drive follows the command, in homing that the
+    /// axis is homed; the limit switches are bits 0 and 1 of 60FDh.
     pub(in super::super) fn report(
         &mut self,
         now: TimeNs,
