@@ -1,9 +1,9 @@
 //! A trained ACT-PC network as a policy: what depth cameras see and arm states in, a chunk for each
 //! arm out.
 //!
-//! The way of an observation: depth images to a cloud by the checkpoint's recipe, cloud to tokens
-//! on the CPU, network, un-normalisation, absolute targets. No history: each answer depends on the
-//! present observation alone.
+//! The way of an observation: depth images to a cloud by the checkpoint's recipe, centres and
+//! neighbours on the CPU, network, un-normalisation, absolute targets. No history: each answer
+//! depends on the present observation alone.
 
 use std::path::Path;
 

@@ -33,7 +33,7 @@ unsafe extern "C" {
 ///
 /// `theta -= lr * (m / (1 - beta_1^t) / (sqrt(v / (1 - beta_2^t)) + eps) + weight_decay * theta)`
 /// with the moving means `m` of the gradient and `v` of its square (Loshchilov and Hutter 2019,
-/// algorithm 2).
+/// algorithm 2; that the learning rate multiplies the decay is PyTorch's).
 #[derive(Clone, Copy, Debug)]
 pub struct AdamW {
     /// How much of the first moment stays.
@@ -90,7 +90,7 @@ impl AdamW {
 }
 
 /// Copies each of `from` to its one of `to`, as many, of the same shape and strides; their kinds
-/// may differ. A few kernels for all tensors on an accelerator. Nothing to do is no error.
+/// may differ. On an accelerator a few kernels copy all tensors. Empty lists are no error.
 ///
 /// # Errors
 /// The network library's.

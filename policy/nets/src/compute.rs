@@ -21,8 +21,8 @@ pub enum Arithmetic {
 
 /// Where and how a network computes.
 ///
-/// Of a process rather than of a policy: threads are the network library's, so the policy that is
-/// loaded last decides for all.
+/// Device and arithmetic are the policy's own. Threads are the network library's, for the whole
+/// process: the policy that is loaded last decides for all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Compute {
     /// Where.

@@ -30,7 +30,7 @@ pub struct Dp3Policy {
     points: LimitsNormaliser,
     state: LimitsNormaliser,
     action: LimitsNormaliser,
-    /// Oldest first. No more than the history that the recipe spans; cleared by `reset`.
+    /// Oldest first, at most `history_steps() + 1`; cleared by `reset`.
     seen: VecDeque<ObservationStep>,
     /// Of the run, by `reset`; the noise depends on it and on the number of the answer.
     seed: u64,

@@ -39,7 +39,7 @@ pub struct TemporalEnsemble {
     decay: f64,
     rows: usize,
     width: usize,
-    /// The present step first; as many as a chunk has rows.
+    /// The next step first; one fewer than a chunk has rows, and empty before the first chunk.
     coming: VecDeque<Blend>,
 }
 

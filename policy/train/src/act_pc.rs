@@ -1,7 +1,7 @@
 //! Training of ACT-PC: ACT's recipe, its clouds and what belongs together in them made once.
 //!
 //! Centres and neighbours are found on the CPU before the first step and stay as they are; noise
-//! moves the points and not who belongs to whom.
+//! moves points but does not change which are neighbours.
 
 use tch::{Device, Kind, TchError, Tensor};
 

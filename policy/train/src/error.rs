@@ -6,7 +6,7 @@ use trocar_data::dataset::DatasetError;
 use trocar_nets::images::ImageError;
 use trocar_nets::parameters::ParameterError;
 
-/// Why a training run ended early. A run that kept its state can be resumed from the last one.
+/// Why a training run ended early. It can be resumed from the last state that it kept.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     /// An option or the network's configuration is impossible.

@@ -174,8 +174,8 @@ impl TrainOptions {
 
     /// The factor on both learning rates at `step`, from 0.
     ///
-    /// In the warm-up `(step + 1) / warm_up_steps`; then by the schedule over the steps that are
-    /// left.
+    /// In the warm-up `(step + 1) / warm_up_steps`; then by the schedule, over the steps that are
+    /// left ([`Schedule::OneCycle`]: over all steps).
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "steps stay far below 2^52")]
     pub fn lr_factor(&self, step: u64) -> f64 {

@@ -160,7 +160,7 @@ fn encode_one(camera: &CameraSpec, frame: &DepthFrame<'_>) -> Result<DepthRow, D
     })
 }
 
-/// Lossless. The filter `Up` and fast compression cost the least time at recording rate.
+/// Lossless; filter and compression are chosen for speed, not for size.
 fn png(
     camera: &CameraSpec,
     bytes: &[u8],

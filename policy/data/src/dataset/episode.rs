@@ -18,8 +18,8 @@ use super::{
     stats::ImageStats,
 };
 
-/// The episode in progress. The numbers of a frame are as many rows as there are arms. So the rows
-/// of frame `f` are `arms * f` to `arms * (f + 1)`, psm1 first.
+/// The episode in progress. The numbers of a frame are as many rows as there are arms: those of
+/// frame `f` are `arms * f..arms * (f + 1)`, psm1 first.
 #[derive(Debug)]
 pub(super) struct Pending {
     /// Arms of each frame; at least 1.

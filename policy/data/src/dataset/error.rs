@@ -8,7 +8,8 @@ use std::{io, path::PathBuf};
 /// Why a dataset can't be written or read.
 ///
 /// Damage and disagreement are [`Self::Mismatch`] or one of the parser's variants, never a panic;
-/// wrong arguments of a caller are [`Self::Input`].
+/// what a caller gives that can't be stored or opened is [`Self::Input`]. Only a frame or an arm
+/// beyond the last panics.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
     /// A file is missing, or the system refused.

@@ -1,7 +1,7 @@
 //! The `meta` folder: what it holds, written and read.
 //!
-//! Written in v3.0 only. The order of writing makes a commit: tables first, `info.json` last, and a
-//! reader believes no more episodes than that counts.
+//! Written in v3.0 only. Tables are written first and `info.json` last, as the commit record: a
+//! reader takes no more episodes than it counts.
 
 use std::{
     collections::BTreeMap,
@@ -105,8 +105,10 @@ pub(super) fn info(
     }
 }
 
+/// `info.json` of the dataset in `dir`, its version checked first.
+///
 /// # Errors
-/// [`DatasetError::Io`]; [`DatasetError::Json`]; [`DatasetError::Version`] for a generation of the
+/// [`DatasetError::Io`]; [`DatasetError::Json`]; [`DatasetError::Version`] for a version of the
 /// format that is not read.
 pub(super) fn read_info(dir: &Path) -> Result<Info, DatasetError> {
     let path = info_path(dir);

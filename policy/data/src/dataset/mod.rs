@@ -30,8 +30,8 @@
 //!
 //! A row is a frame: what was observed at its instant, and the command given for it, so `action` of
 //! row `t` belongs to the observation of row `t`. Times are `frame / fps` since the episode's first
-//! frame, rounded to `f32` as LeRobot's readers check them; a recorder that samples a robot has
-//! resampled to that grid before.
+//! frame, rounded to `f32` as LeRobot's readers check them; the writer is given no times, so frames
+//! must come at that rate.
 
 mod check;
 mod depth;

@@ -16,8 +16,8 @@ pub const SIDE_MAX: u32 = 8192;
 
 /// Encodes 8-bit RGB, row-major, `3 * width * height` bytes.
 ///
-/// Lossless. Fast compression with adaptive filters: recording runs at the cameras' rate, and a
-/// smaller file would cost more time than it saves on disk.
+/// Lossless. Fast compression with adaptive filters, to keep up with the cameras at the price of
+/// larger files.
 ///
 /// # Errors
 /// The codec's, for zero sizes or a wrong number of bytes.

@@ -61,8 +61,8 @@ type Key = (usize, usize, usize);
 impl VideoFrames {
     /// Of the cameras `features` in the `listed` episodes; `kept` are the features that are kept as
     /// video, in the order of the listing. Looks at every file once: each episode's first and last
-    /// frame must be shown when the dataset, with `fps` frames a second, says so, and there must be
-    /// as many between them.
+    /// frame must be shown when the dataset, with `fps` frames a second, says so, and all of its
+    /// frames must be there.
     pub(super) fn open(
         features: &[String],
         kept: &[String],
@@ -179,8 +179,8 @@ impl VideoFrames {
 
 /// The file's frame that an episode of `len` frames begins with at `from_s`.
 ///
-/// The episode's first and last frame must be shown at their times with `len - 1` frames between
-/// them; a file whose rate differs is refused here rather than read out of step.
+/// The episode's first and last frame must be shown at their times and be `len - 1` frames apart; a
+/// file whose rate differs is refused here rather than read out of step.
 #[expect(
     clippy::cast_precision_loss,
     reason = "frame counts stay far below 2^53"

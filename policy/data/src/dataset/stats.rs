@@ -2,7 +2,7 @@
 //!
 //! LeRobot's `stats.json`: `min`, `max`, `mean`, `std` and five quantiles a dimension, and the
 //! `count` of rows. Quantiles need all values, so columns are kept as sorted lists: 8 bytes a
-//! number, a few megabytes for an hour of recording.
+//! number, about 25 MB for an hour of one arm at 30 frames a second.
 
 use serde_json::{Value, json};
 

@@ -21,8 +21,8 @@ pub(super) const INSTRUCTION: &str = "instruction.text";
 /// What the instrument of an arm is called, behind which comes the arm's name.
 pub(super) const TOOL_PREFIX: &str = "observation.meta.tool.";
 
-/// Our cameras and what they are called there; others keep their names. A single `wrist` camera
-/// belongs to psm1, the right hand's arm.
+/// Our cameras and what they are called there; others keep their names. A single `wrist` camera is
+/// `wrist.right`, and the mapping `open-h-dvrk` reads it back as `wrist`.
 const CAMERAS: [(&str, &str); 6] = [
     ("endoscope", "endoscope.left"),
     ("endoscope_left", "endoscope.left"),

@@ -7,8 +7,8 @@ use super::Source;
 
 /// How the demonstrations came about, in words; what is not known stays to be filled in.
 ///
-/// The recorder fills it from its options; of imported data most stays as [`Provenance::default`]
-/// has it.
+/// The command line fills it from the options that a recording noted; of other datasets it is
+/// [`Provenance::default`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Provenance {
     /// One sentence on the dataset.

@@ -101,7 +101,7 @@ const fn single(value: f64) -> f32 {
 
 /// `width` numbers for each of one or two arms.
 ///
-/// The number of arms follows from the width; 7 or 8 numbers an arm never leave two readings.
+/// The number of arms follows from the width of a step.
 fn of_arms(recording: &Recording, name: &str, width: usize) -> Result<Numbers, ImportError> {
     let numbers = recording.numbers(name)?;
     if (1..=ARM_NAMES.len()).any(|arms| numbers.width == arms * width) {

@@ -59,8 +59,8 @@ impl CropBox {
 /// The points of every pixel that shows one of `instances`, has a finite positive depth and lies in
 /// `crop`.
 ///
-/// Ids and depth are asked first, the box last. O(pixels); allocates the list of points alone,
-/// besides a ray for each row and column.
+/// Ids and depth are tested first, the box last. O(pixels); allocates the list of points, and for
+/// each frame a ray for each row and column.
 ///
 /// # Errors
 /// [`PerceptionError`] if a frame is not whole, the box has no inside, or no point is left.

@@ -7,8 +7,8 @@ use super::error::PerceptionError;
 /// before the others.
 ///
 /// A centre that is one of the points finds itself. Squared distances are `(dx² + dy²) + dz²` in
-/// single precision. The result is row-major `[centres, count]`. Exhaustive: O(points * centres),
-/// which for a network's groups (hundreds of centres) is cheaper than a tree.
+/// single precision. The result is row-major `[centres, count]`. Exhaustive, without a tree: at
+/// least O(points * centres).
 ///
 /// # Errors
 /// [`PerceptionError`] if there are fewer points than that, or one is not finite.

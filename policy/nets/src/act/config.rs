@@ -50,7 +50,7 @@ pub enum DecoderOutput {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActConfig {
-    /// Steps in a chunk. 1 to 1024; in a policy that runs at most `hal::chunk::CHUNK_STEPS_MAX`.
+    /// Steps in a chunk, 1 to 1024; a policy that runs has at most `hal::chunk::CHUNK_STEPS_MAX`.
     pub chunk_size: i64,
     /// Width of the transformer; a multiple of `n_heads` and of 4.
     pub dim_model: i64,
@@ -64,7 +64,7 @@ pub struct ActConfig {
     pub n_decoder_layers: i64,
     /// Layers of the variational encoder.
     pub n_vae_encoder_layers: i64,
-    /// Width of the latent. The paper's `z`; zero at inference.
+    /// Width of the latent, the paper's `z`, which is the zero vector at inference.
     pub latent_dim: i64,
     /// Whether layers normalise before instead of after their work.
     pub pre_norm: bool,
@@ -92,14 +92,14 @@ pub struct ActConfig {
     pub action_dim: i64,
     /// Feature names of the cameras, in order (`observation.images.NAME`).
     pub cameras: Vec<String>,
-    /// Height of the images that enter the network, pixels. 32 to 4096; recorded frames must be a
-    /// whole multiple of it.
+    /// Height of the images that enter the network, 32 to 4096 pixels. Both sides of a recorded
+    /// frame must be the same whole multiple of the network's.
     pub image_height: i64,
     /// Width of the images that enter the network, pixels.
     pub image_width: i64,
 }
 
-/// What files from before there was a choice mean.
+/// For files without the field: all stages.
 const fn all_stages() -> usize {
     STAGES
 }

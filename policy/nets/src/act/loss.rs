@@ -1,8 +1,8 @@
 //! The loss of ACT: absolute errors of the actions, and the price of telling the style.
 //!
 //! A conditional variational autoencoder's bound with an L1 reconstruction:
-//! `L = |a - a'| + beta * KL(q(z | a, s) || N(0, I))` (Zhao et al. 2023, algorithm 1). `beta` is
-//! `kl_weight`, 10 as published.
+//! `L = |a - a'| + beta * KL(q(z | a, s) || N(0, I))` (Zhao et al. 2023, whose algorithm 1 writes a
+//! squared error where text and code take L1). `beta` is `kl_weight`, 10 as published.
 
 use serde::{Deserialize, Serialize};
 use tch::{Kind, TchError, Tensor};
@@ -11,7 +11,8 @@ use super::config::{ActConfig, LossDenominator};
 use super::vae::LatentDistribution;
 use crate::dimension::width;
 
-/// The parts of the loss, each a tensor of no dimension.
+/// The parts of the loss, each a tensor of no dimension. They are on the network's device: reading
+/// one waits for it.
 #[derive(Debug)]
 pub struct Losses {
     /// Mean absolute error of the normalised actions.
@@ -19,8 +20,7 @@ pub struct Losses {
     /// Kullback-Leibler divergence of the latent from the standard normal, summed over it, mean
     /// over the batch; zero without a variational encoder.
     pub kl: Tensor,
-    /// `l1 + kl_weight * kl`: what is minimised. Zero-dimensional tensors stay on the device:
-    /// reading one waits for it.
+    /// `l1 + kl_weight * kl`: what is minimised.
     pub total: Tensor,
 }
 

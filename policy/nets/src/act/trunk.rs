@@ -28,7 +28,7 @@ pub(crate) struct Trunk {
     pub(super) step_queries: Tensor,
     /// A step of the decoder to an action.
     pub(super) action_head: Linear,
-    /// None in a network for inference, or trained without a latent.
+    /// None if the configuration has no latent, or the parameters have no variational encoder.
     vae: Option<VaeEncoder>,
     latent_dim: i64,
     dropout: f64,

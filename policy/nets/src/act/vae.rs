@@ -21,7 +21,7 @@ pub(crate) const VAE_PREFIX: &str = "model.vae_encoder";
 pub struct LatentDistribution {
     /// Mean.
     pub mean: Tensor,
-    /// Logarithm of the variance. The logarithm, since a linear layer's output has any sign.
+    /// Logarithm of the variance, since a linear layer's output has any sign.
     pub log_variance: Tensor,
 }
 

@@ -26,7 +26,8 @@ pub struct ActPcConfig {
     pub act: ActConfig,
     /// Points in the cloud.
     pub points: i64,
-    /// Tokens: centres that are chosen among the points. Attention grows with its square.
+    /// Tokens: centres that are chosen among the points. The cost of attention grows with their
+    /// square.
     pub tokens: i64,
     /// Points around each centre that its token tells of.
     pub neighbours: i64,

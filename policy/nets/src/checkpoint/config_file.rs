@@ -33,7 +33,7 @@ pub(super) struct Feature {
     /// `VISUAL`, `STATE` or `ACTION`.
     #[serde(rename = "type")]
     kind: String,
-    /// `[3, height, width]` of images, else one number.
+    /// `[3, height, width]` of images, else a single width.
     shape: Vec<i64>,
 }
 
@@ -100,7 +100,7 @@ pub(super) fn normalisation() -> Value {
 }
 
 /// The text of `config.json`. Decoder layers whose output does not matter are left out: LeRobot
-/// would use the last. Fields of training and of uploads have LeRobot's defaults.
+/// would use the last. The optimiser's fields have LeRobot's defaults; uploads are off.
 pub(super) fn write(config: &ActConfig) -> Value {
     let [inputs, outputs] = features(config);
     json!({

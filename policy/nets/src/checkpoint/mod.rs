@@ -55,7 +55,7 @@ use trocar_data::relative_action::{
 const CONFIG: &str = "config.json";
 /// The file of the weights in a checkpoint's folder.
 pub const WEIGHTS: &str = "model.safetensors";
-/// What the actions mean, and provenance: the only file that is ours.
+/// What the actions mean, and provenance: a file that LeRobot does not have.
 pub(crate) const RECIPE: &str = "trocar.json";
 
 /// Whether the file called `name` in a checkpoint's folder is read when a policy is loaded.

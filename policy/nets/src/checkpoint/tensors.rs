@@ -32,7 +32,7 @@ pub enum Precision {
 /// A tensor outside the network library: shape and values, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Plain {
-    /// Empty of a scalar.
+    /// Empty for a scalar.
     pub(super) shape: Vec<usize>,
     /// As many as the shape's product; half precision and bfloat16 are widened, which is exact.
     pub(super) values: Vec<f32>,

@@ -19,13 +19,13 @@ pub enum Dp3Preset {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dp3Config {
-    /// Steps that are predicted at once; a multiple of what the lengths shrink by. The first is due
-    /// when the oldest observation was taken.
+    /// Steps that are predicted at once; a multiple of what the lengths shrink by. The first step
+    /// is that of the oldest observation.
     pub horizon: i64,
     /// Observations that the network sees, the newest last.
     pub n_obs_steps: i64,
-    /// Steps that are executed. Published code's; here it decides what the validation error is
-    /// taken over.
+    /// Steps that published code executes. Here only the validation error in training is taken over
+    /// them; a policy answers with all steps from the newest observation on.
     pub n_action_steps: i64,
     /// Features of the points, and as many of the state.
     pub encoder_output_dim: i64,

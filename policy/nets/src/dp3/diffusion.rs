@@ -6,10 +6,11 @@
 //! sample before it is cut to ±1, and nothing random is added.
 //!
 //! With `k_t` for the product that papers write as alpha bar. Forward:
-//! `x_t = sqrt(k_t) x_0 + sqrt(1 - k_t) e` (Ho et al. 2020, eq. 4), `k_t` by the cosine schedule of
-//! Nichol and Dhariwal 2021, `cos^2((t / T + s) / (1 + s) * pi / 2)` with `s = 0.008`. Backward:
+//! `x_t = sqrt(k_t) x_0 + sqrt(1 - k_t) e` (Ho et al. 2020, eq. 4). The schedule of Nichol and
+//! Dhariwal 2021, `f(u) = cos^2((u + s) / (1 + s) * pi / 2)` with `s = 0.008`, gives
+//! `k_t = f((t + 1) / T) / f(0)` for `t` from 0, but for the cap. Backward:
 //! `e = (x_t - sqrt(k_t) x_0) / sqrt(1 - k_t)`, then `x_t' = sqrt(k_t') x_0 + sqrt(1 - k_t') e`
-//! (Song et al. 2021, eq. 12 with sigma 0).
+//! (Song et al. 2021, eq. 12 with sigma 0), the second `x_0` cut.
 
 use core::f64::consts::FRAC_PI_2;
 

@@ -1,7 +1,7 @@
 //! The moving average of a network's parameters, which is what DP3 evaluates.
 //!
-//! `average = d * average + (1 - d) * parameters`, `d = 1 - n^-0.75` after `n` updates and at most
-//! 0.9999.
+//! `average = d * average + (1 - d) * parameters`; after `n` earlier updates `d = 1 - n^-0.75`, at
+//! most 0.9999, and 0 in the first two updates.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::parameters::Parameters;
 #[derive(Debug)]
 pub struct MovingAverage {
     tensors: BTreeMap<String, Tensor>,
-    /// How many [`Self::update`] has made.
+    /// How often [`Self::update`] was called.
     updates: u64,
 }
 

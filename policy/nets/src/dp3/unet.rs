@@ -2,8 +2,8 @@
 //! observed.
 //!
 //! Actions of a horizon are a signal over time with a channel for each number. Down: blocks, then
-//! half the steps; up: twice the steps, joined with what the same length was on the way down. The
-//! condition enters every block.
+//! half the steps. Up: the skip connection of the same length is concatenated, blocks, then twice
+//! the steps. The condition enters every residual block.
 
 use tch::{Device, Kind, TchError, Tensor};
 

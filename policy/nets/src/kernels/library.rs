@@ -191,7 +191,7 @@ impl Functions {
         code
     }
 
-    /// Machine code of the program, or the first line of the compiler's log.
+    /// Machine code of the program; the error has the first line of the compiler's log.
     fn compiled(self, program: *mut c_void, option: &CStr) -> Result<Vec<c_char>, TchError> {
         let options = [option.as_ptr()];
         // SAFETY: the program was created; the option is a C string.

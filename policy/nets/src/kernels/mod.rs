@@ -22,7 +22,7 @@ use library::{Argument, Kernel, Library};
 
 /// Threads of a block, in the kernels too.
 const THREADS: i64 = 256;
-/// Most shares of an image's pixels, and blocks that keep a device busy.
+/// Most shares of an image's pixels.
 const SHARES_MAX: i64 = 64;
 /// Blocks that keep a device busy.
 const BLOCKS: i64 = 1024;

@@ -2,8 +2,8 @@
 //! sees, with eight voxels a place at both ends.
 //!
 //! Ronneberger et al. 2015 in three dimensions, with residual blocks and group normalisation.
-//! Folding eight voxels into channels (and back at the end) is a reshape, so the full resolution is
-//! never convolved.
+//! Folding eight voxels into channels (and back at the end) only moves numbers, so the full
+//! resolution is never convolved.
 
 use serde::{Deserialize, Serialize};
 use tch::{TchError, Tensor};
@@ -95,7 +95,7 @@ impl Convolution {
     }
 }
 
-/// A convolution, a normalisation and a ReLU.
+/// A convolution, a normalisation and a leaky ReLU.
 #[derive(Debug)]
 struct Block {
     convolution: Convolution,

@@ -1,8 +1,8 @@
 //! A CT as another scanner might have given it: contrast, scale, shift, blur, noise, rings and
 //! streaks.
 //!
-//! Amounts are in HU and drawn anew for each window, on the CPU; noise draws from the network
-//! library's generator on the window's device.
+//! Amounts are drawn anew for each window, on the CPU; each tissue's contrast and the noise of each
+//! voxel come from the network library's generator on the window's device.
 
 use tch::{Device, Kind, TchError, Tensor};
 

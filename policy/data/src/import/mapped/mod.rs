@@ -6,9 +6,9 @@
 //! so that a pose that the arm can't take is found. All numbers of all episodes are looked at
 //! before the first is written.
 //!
-//! Two passes: the survey reads every episode's numbers, words and label and checks them; then they
-//! are read again, with the pictures, and written. Twice the reading of numbers buys that a bad
-//! step in the last episode does not leave half a dataset.
+//! Two passes: the survey reads the numbers, words and label of every episode that is wanted and
+//! checks them; then they are read again, with the pictures, and written. So a bad number in the
+//! last episode does not leave half a dataset; a bad picture may.
 
 mod arms;
 mod csv;

@@ -29,8 +29,8 @@ const DEPTH_MAX: usize = 3;
 /// Rows or images that one may have more than the other, as recorders leave them. The surplus at
 /// the end is cut off; frames are matched to rows by their number.
 const SURPLUS_MAX: usize = 10;
-/// By how much an episode's rate may differ from the first's. Relative. Frames are not resampled:
-/// the dataset says one rate for all.
+/// By what share an episode's rate may differ from the dataset's, which is given or the first
+/// episode's. Frames are not resampled.
 const RATE_TOLERANCE: f64 = 0.1;
 /// Frames' time that may pass between two of them.
 const GAP_MAX_FRAMES: f64 = 5.0;

@@ -75,7 +75,8 @@ struct FoldedConv {
     group_norm: Option<GroupNorm>,
 }
 
-/// Its scale and shift, `(channels)` each; statistics are taken of each picture.
+/// A group normalisation: scale and shift, `(channels)` each; its statistics are those of the
+/// picture at hand.
 #[derive(Debug)]
 struct GroupNorm {
     groups: i64,

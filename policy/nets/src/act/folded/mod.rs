@@ -7,8 +7,9 @@
 //! constant with the queries that follow from it. Nothing of the variational encoder is kept.
 //!
 //! The trained network in `super` is the reference: `tests` compares both, and `tests/golden`
-//! compares that with LeRobot's numbers. An inference allocates in the network library, and on CUDA
-//! after the first one only launches its graph.
+//! compares the reference with LeRobot's numbers. An inference allocates in the network library. On
+//! CUDA the first one captures a graph; later ones of the same shapes copy their inputs and replay
+//! it.
 
 mod backbone;
 mod native_backbone;

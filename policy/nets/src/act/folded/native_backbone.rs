@@ -26,11 +26,11 @@ struct NativeBlock {
     downsample: Option<Convolution>,
 }
 
-/// A convolution, the way that is the fastest for the pictures that it gets. Which one is decided
-/// once, by the size of its outputs.
+/// A convolution, the way that is the fastest for the pictures that it gets. The choice is made
+/// once, while building.
 #[derive(Debug)]
 enum Convolution {
-    /// Of 3x3 with stride 1, where the tiles fit.
+    /// Of 3x3 with stride 1 and ReLU after it, where [`Winograd::pays`] for the outputs' size.
     Tiles(Winograd),
     /// All others.
     Taps(Direct),

@@ -2,8 +2,9 @@
 //! the backward pass needs, and backward.
 //!
 //! Autograd keeps every intermediate tensor and runs each elementwise operation as a kernel of its
-//! own. Here a residual block keeps its two convolutions' outputs, and normalisation, sum and ReLU
-//! are one kernel, in both directions.
+//! own. Here a residual block keeps its convolutions' outputs and its two activations; the scale
+//! and shift of a normalisation, the sum and ReLU are one kernel, and so is their backward pass.
+//! Group normalisation has further kernels for its statistics.
 
 use tch::{TchError, Tensor};
 

@@ -1,8 +1,8 @@
 //! The statistics that a frozen batch normalisation takes from pictures before a training from
 //! scratch.
 //!
-//! Frozen statistics of 0 and 1 would normalise nothing; measured ones give every layer's output
-//! unit variance at the start, as batch normalisation does.
+//! Frozen statistics of 0 and 1 would normalise nothing; measured ones give every normalised
+//! convolution zero mean and unit variance at the start, as batch normalisation does.
 
 use std::collections::BTreeMap;
 

@@ -86,7 +86,7 @@ impl Convolved {
     }
 
     /// `x`, made of what [`Self::apply`] answered, after Mish, as the next convolution reads it
-    /// best. Works in place.
+    /// best: in place, or in a new tensor of another layout.
     pub(super) fn activated(&self, mut x: Tensor) -> Result<Tensor, TchError> {
         match self {
             Self::Native(_) => x.f_mish_(),

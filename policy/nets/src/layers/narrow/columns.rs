@@ -5,8 +5,8 @@ use crate::layers::vectors::Processor;
 /// The columns of a product: for each block of columns, for each row, the numbers of the block's
 /// columns.
 ///
-/// This is what `im2col` is elsewhere, but with the columns of a block side by side, so that a
-/// kernel broadcasts numbers that lie together.
+/// As `im2col` makes them, but with a row's numbers of a block side by side, so that the numbers
+/// that a kernel broadcasts lie together.
 #[derive(Debug, Default)]
 pub(crate) struct Columns {
     /// `(blocks, rows, columns of a block)`.
@@ -79,7 +79,7 @@ impl Columns {
         }
     }
 
-    /// Packs all blocks; each input is copied once into a line with its border of zeros.
+    /// Packs all blocks; for each block an input is copied into a line with its border of zeros.
     fn fill<const WIDTH: usize>(&mut self, x: &[f32], windows: Windows) {
         let Windows {
             steps,
