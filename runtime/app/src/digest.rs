@@ -7,7 +7,7 @@ use std::path::Path;
 use hal::files;
 use sha2::{Digest, Sha256};
 
-/// 64 lower-case digits.
+/// 64 digits, 0 to 9 and a to f.
 pub(crate) fn hexadecimal(hash: Sha256) -> String {
     format!("{:x}", hash.finalize())
 }

@@ -36,7 +36,8 @@ use trocar_control::OperatorEvent;
 const ON_THE_WAY_MAX: u32 = 8;
 
 /// Time from one ping to the next, which browsers answer by themselves. Their answers measure the
-/// round trip, half of which is taken off the latencies of teleoperation.
+/// round trip, half of which is added to the latency from hand to command and taken off that from
+/// camera to page.
 const PING: Duration = Duration::from_secs(2);
 
 /// How long a page that was told of the end has to close.
@@ -292,7 +293,7 @@ impl Page {
     }
 
     /// Does what the operator's verb does, if this page steers or the verb brings the arms to rest.
-    /// Only `stop` and `pause` need no seat. The page waits for the answer; others do not.
+    /// Any page may `stop` and `pause`. The page waits for the answer; others do not.
     async fn command(&mut self, text: &str, socket: &mut WebSocket) -> Result<(), Disconnected> {
         let (ok, said) = match command(text) {
             Err(reason) => (false, reason),
@@ -335,7 +336,7 @@ impl Page {
     }
 
     /// What this page has not been told of. In the order of weight: the end, what is shown, who
-    /// steers, the state, pictures.
+    /// steers, the bulletin, the state, pictures.
     fn newest(&mut self) -> Option<Outgoing> {
         let last = self.over.borrow_and_update().clone();
         if let Some(last) = last {

@@ -11,7 +11,7 @@ use hal::TimeNs;
 /// double, little endian.
 pub(super) const HEAD: usize = 16;
 
-/// Of JPEG, 1 to 100.
+/// JPEG quality, 1 to 100.
 const QUALITY: u8 = 82;
 
 /// Near to far: stops of a colour map that also tells by lightness alone. sRGB, from 0 to 255; five
@@ -24,8 +24,8 @@ const DEPTH: [[f32; 3]; 5] = [
     [68.0, 1.0, 84.0],
 ];
 
-/// The message for pages, if the pixels fill an image. None if they don't, or a plane is not known
-/// (empty).
+/// The message for pages, if the pixels fill an image. None if they don't, or if it can't be
+/// encoded.
 pub(super) fn message(drawn: &Drawn) -> Option<Vec<u8>> {
     let (width, height) = (drawn.width, drawn.height);
     let mut bytes = head(drawn.stream, drawn.stamp);

@@ -46,7 +46,7 @@ impl Default for LogMessages {
 }
 
 impl LogMessages {
-    /// Copies `data` if it is kept; a topic's first message always is, and every line of `/events`.
+    /// Copies `data` if it is kept; a topic's first message always is, and each of `WHOLE`.
     pub(super) fn keep(&mut self, topic: &str, at: TimeNs, data: &[u8]) {
         if !self.topics.contains_key(topic) {
             self.topics.insert(topic.to_owned(), BTreeMap::new());

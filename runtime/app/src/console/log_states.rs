@@ -55,7 +55,7 @@ impl States {
         }
     }
 
-    /// Whether `keep` would have it: as far from the newest as states are apart now.
+    /// Whether `tick` is as far from the newest state as states are apart now.
     pub(super) fn wants(&self, tick: u64) -> bool {
         let newest = self.kept.last_key_value();
         newest.is_none_or(|(newest, _)| tick >= newest.saturating_add(self.every_ticks))

@@ -448,7 +448,7 @@ impl Recomputed {
 /// The controller's configuration of a logged run.
 ///
 /// # Errors
-/// `NoConfiguration` if the log lacks one of both files; what is wrong with them.
+/// `NoConfiguration` if the log lacks one of the two files; what is wrong with them.
 fn config(header: &RunHeader) -> Result<ControlConfig, SessionError> {
     let source = |file: &'static str| {
         let text = header.text(file);

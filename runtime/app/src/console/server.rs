@@ -101,7 +101,7 @@ const HEADERS: [(HeaderName, &str); 6] = [
 /// Everything that a server needs.
 ///
 /// # Errors
-/// If the system gives no thread or no event queue.
+/// If the system gives no event queue.
 pub(super) fn runtime() -> io::Result<Runtime> {
     Builder::new_current_thread()
         .enable_all()

@@ -1,6 +1,6 @@
 //! What a page is told twenty times a second, as JSON. The operator's socket tells the same to
-//! `trocar monitor`. Numbers are rounded to five places, which keeps a message small; whoever needs
-//! all digits reads the log.
+//! `trocar monitor`. Joints, corrections and durations in us are rounded to five places, which
+//! keeps a message small; whoever needs all digits reads the log.
 
 use hal::{ARM_NAMES, ArmCommand, ArmState, TimeNs};
 use serde::Serialize;
@@ -104,7 +104,7 @@ struct Timing {
     overruns: u64,
 }
 
-/// Counts a bucket, whose upper ends `Facts` has; one more for what is beyond all.
+/// A count for each bucket, whose upper ends `Facts` has, and one for what is beyond all.
 #[derive(Clone, Debug, Serialize)]
 struct Histogram {
     counts: Vec<u64>,

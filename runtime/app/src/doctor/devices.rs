@@ -46,8 +46,8 @@ pub(super) fn shared_memory() -> Finding {
 pub(crate) const NO_CAN_REMEDY: &str =
     "load the modules can, can_raw and vcan; without kernel support use the simulated arm";
 
-/// Whether the kernel has CAN sockets, and which interfaces there are. A socket is opened for that
-/// on no interface of its own, and nothing is sent.
+/// Whether the kernel has CAN sockets, and which interfaces there are. One socket is opened for
+/// that, bound to all interfaces, and nothing is sent.
 pub(super) fn can() -> Finding {
     let interfaces = can_interfaces(Path::new("/sys/class/net"));
     // Index 0 stands for all interfaces, so this asks only whether the kernel knows CAN.

@@ -1,8 +1,8 @@
 //! `trocar doctor`: what this machine offers, what that means for a run, and what would help.
 //!
 //! `realtime` asks the kernel, `devices` what else a run opens; graphics and networks are probes of
-//! the caller's, so that the library needs neither to answer. Nothing is changed on the machine: a
-//! lock or a scheduling class that is tried goes with its thread or at once.
+//! the caller's, so that this module depends on neither. Nothing is changed on the machine: a lock
+//! or a scheduling class that is tried goes with its thread or at once.
 
 mod devices;
 

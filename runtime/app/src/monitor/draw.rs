@@ -197,8 +197,8 @@ fn number(axis: &Axis, value: f64) -> String {
 }
 
 /// Counts since the run began of filter, guard and gate, the last refusal's reason, what the task
-/// still lacks, and the run's mark. Failures, interventions and refusals have a colour once there
-/// is one.
+/// still lacks, and the run's mark. Failures, interventions and refusals are green while there are
+/// none, then failures red and the others yellow.
 fn safety_lines(state: &State) -> Vec<Line<'_>> {
     let counts = &state.counts;
     let tone = |count: u64, style| if count > 0 { style } else { GOOD };

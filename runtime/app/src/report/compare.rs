@@ -1,6 +1,7 @@
 //! Two policies compared by trials of the same seed. Trials of one seed begin in the same scene, so
-//! that they are pairs: McNemar's exact test asks how probable a difference like theirs is if both
-//! succeed equally often, and Holm's method corrects it for the number of comparisons in a table.
+//! that they are pairs: McNemar's exact test asks how probable a difference at least as large as
+//! theirs is if both succeed equally often, and Holm's method corrects it for the number of
+//! comparisons in a table.
 
 use std::collections::BTreeMap;
 

@@ -47,8 +47,8 @@ fn each_once<'a>(names: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
     list
 }
 
-/// The losses of one network's trainings, if any are kept. Losses are drawn over a logarithmic
-/// axis, on which they differ by decades.
+/// The losses of one network's trainings, if any are kept. Their axis is logarithmic, since they
+/// fall by decades.
 fn network_curves(results: &Results, network: &str, tasks: &[&String]) -> Option<Block> {
     let (series, trainings) = loss_series(results, network, tasks);
     let count = series.len();

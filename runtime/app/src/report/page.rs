@@ -85,7 +85,7 @@ fn comparisons(results: &Results, table: &Table) -> Option<Block> {
     })
 }
 
-/// Trials, seeds and the source of the published figures, in a sentence each.
+/// Trials and seeds in a sentence, and the source of the published figures in another.
 fn how(grid: &GridRecord) -> String {
     let last = grid.first_seed + (grid.trials as u64).saturating_sub(1);
     let mut text = format!(

@@ -195,7 +195,7 @@ impl Plot {
     }
 }
 
-/// From -1 to 1 over all series.
+/// Steps of 2, with the middle of all series at 0.
 #[expect(clippy::cast_precision_loss, reason = "there are few series")]
 fn index_offset(index: usize, count: usize) -> f64 {
     2.0 * index as f64 - (count as f64 - 1.0)
@@ -217,8 +217,8 @@ fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
     })
 }
 
-/// Whole decades around the values, which are above 0. At least one, and none without a positive
-/// value, which a logarithm has not.
+/// Whole decades, at least one, around the values above 0; others have no logarithm. None without
+/// such a value.
 fn decades(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
     let Range { start, end } = range(values.filter(|value| *value > 0.0).map(f64::log10))?;
     let (low, high) = (start.floor(), end.ceil());
@@ -247,7 +247,7 @@ fn trimmed(value: impl Display) -> String {
     }
 }
 
-/// Black becomes the colour of the text around the plot; the size becomes the greatest one.
+/// Black becomes the colour of the text around the plot.
 fn themed(svg: &str) -> String {
     let black = format!("#{:02X}{:02X}{:02X}", BLACK.0, BLACK.1, BLACK.2);
     svg.replace(&format!("\"{black}\""), "\"currentColor\"")

@@ -52,8 +52,8 @@ fn means(table: &Table) -> Vec<TableCell> {
     row
 }
 
-/// A rate with everything that stands beside it. None while a training seed is missing: a part of
-/// the trials has another expectation.
+/// A rate with everything that stands beside it. While a training seed is missing that is said in
+/// place of the rate: a part of the trials has another expectation.
 fn rate(place: &Place) -> TableCell {
     let mut cell = TableCell {
         number: true,
@@ -85,7 +85,7 @@ fn missing(place: &Place) -> &'static str {
 /// The rate, its interval, invalid trials if there are any, and each training's successes if there
 /// are several.
 ///
-/// Wilson's interval stands beside each rate, 95 %.
+/// The interval is Wilson's, 95 %.
 fn score_lines(place: &Place, score: &Score) -> Vec<Vec<Inline>> {
     let (rate, [low, high]) = score.rate();
     let mut lines = vec![
@@ -128,8 +128,8 @@ fn mean(ours: Option<f64>, published: Option<f64>) -> TableCell {
     cell
 }
 
-/// Published rates have two digits. So that ours is below only if it is by more than half of the
-/// last one.
+/// Published rates have two decimals, so that ours is below only if it is by more than half a unit
+/// of the second.
 fn tone(ours: Option<f64>, published: Option<f64>) -> Tone {
     match (ours, published) {
         (Some(ours), Some(published)) if ours < published - 0.005 => Tone::Below,
@@ -252,7 +252,7 @@ fn comparison(study: &StudyRecord, table: &Table, comparison: &Comparison) -> Ve
     row
 }
 
-/// Three decimals; below a thousandth the power of ten, since 0.000 would be wrong.
+/// Three decimals; below 0.0005, which would read 0.000, one digit and the power of ten.
 fn probability(p: f64) -> String {
     if p < 0.0005 {
         format!("{p:.0e}")

@@ -1,9 +1,9 @@
 //! Frames on the CAN interfaces of this machine, as its kernel counts them.
 //!
-//! Read from `/sys/class/net/NAME/statistics`: eight small files an interface and look, so a thread
-//! that shows or logs does it, and never the control thread. The counters are those of all
-//! processes on the machine, not of ours alone. What the emulated drives know of their own buses is
-//! in `session::drives`.
+//! Read from `/sys/class/net/NAME/statistics`: up to eight small files for each interface and look,
+//! so a thread that shows or logs does it, and never the control thread. The counters are those of
+//! all processes on the machine, not of ours alone. What the emulated drives know of their own
+//! buses is in `session::drives`.
 
 use std::collections::VecDeque;
 use std::fs;
@@ -35,7 +35,7 @@ const OVER_NS: u64 = 1_000_000_000;
 pub(crate) struct Buses {
     /// In the order of names from [`Buses::find`], in the given order from [`Buses::named`].
     pub(crate) all: Vec<Bus>,
-    /// Dates the counts; begins with this value.
+    /// Dates the counts, from 0 when this value is made.
     clock: MonotonicClock,
 }
 

@@ -4,8 +4,8 @@
 //! A session's loop is the same for all: [`hal::Rig::exchange`], [`control`], again.
 //!
 //! A rig knows when a period begins and where measurements and set-points travel; it knows nothing
-//! of tasks, policies or logs. A new kind of arms is a new [`hal::Rig`] here, and nothing else
-//! changes.
+//! of tasks, policies or logs. A new kind of arms is a new [`hal::Rig`] here; the loop and the
+//! controller stay as they are.
 
 pub(crate) mod can;
 pub(crate) mod can_clock;

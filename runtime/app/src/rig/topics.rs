@@ -19,7 +19,7 @@ use crate::rt::Periodic;
 
 /// The way to the thread that sends set-points.
 pub(crate) struct ToSender {
-    /// Every set-point in order, and each is sent.
+    /// Set-points in order; while it is full new ones are dropped.
     pub(crate) queue: Producer<PerArm<Setpoint>>,
     /// Unparked once a period, whether it sleeps or not.
     pub(crate) thread: Thread,

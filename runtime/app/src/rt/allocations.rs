@@ -1,7 +1,6 @@
-//! The system allocator, counting what each thread asks of it, so that a run can say that its
-//! control thread asked for nothing. Only requests are counted, not what is given back: a real-time
-//! thread may do neither, and whoever frees has allocated before. A count is one thread-local
-//! addition.
+//! The system allocator, counting the allocations of each thread, so that a run can say that its
+//! control thread made none. Reallocations count too, deallocations do not: a real-time thread may
+//! do neither, and memory that it frees is mostly its own. A count is one thread-local addition.
 #![expect(
     unsafe_code,
     reason = "an allocator can't be had without; every call goes on to the system's unchanged"

@@ -23,7 +23,7 @@ pub enum ConfigFile {
     Safety,
     /// The task's scene.
     ///
-    /// What `--scene` gives in its place.
+    /// `scene.toml`, or the file of `--scene`.
     Scene,
     /// Nodes and buses.
     ///

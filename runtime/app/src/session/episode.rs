@@ -49,9 +49,9 @@ pub struct StepView<'a> {
 
 /// Observes an episode: a log, a dataset, images.
 ///
-/// Methods are called on the episode's thread in a fixed order: `wants_stop`, `wants_end`, `step`,
-/// then `chunk` for each arm, then `tick_of`. What they cost, the episode takes longer in wall
-/// time, and nothing else changes.
+/// Methods are called on the episode's thread in a fixed order: at a policy step `wants_stop`,
+/// `wants_end` and `step`, in a tick that consumes chunks `chunk` for each arm, in every tick
+/// `tick_of`. What they cost, the episode takes longer in wall time, and nothing else changes.
 pub trait EpisodeObserver {
     /// Cameras whose frames it wants at every policy step.
     fn cameras(&self) -> Vec<String> {

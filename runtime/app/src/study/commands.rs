@@ -152,7 +152,7 @@ fn resume(verb: Arguments, places: &Places) -> Arguments {
         .path("--json", &places.result)
 }
 
-/// One that is resumed has its options in its folder, and takes no others.
+/// One that is resumed has its options in its folder, and takes none but `--json`.
 fn train(job: &TrainingJob, places: &Places, begin: Begin) -> Arguments {
     let train = Arguments::default().word("train");
     if begin == Begin::Resumed {

@@ -284,8 +284,8 @@ impl Expansion<'_> {
         Ok(execution)
     }
 
-    /// That of `policy`, which came of the training seed `seed` if it was trained; the seed is in
-    /// the label only, since the policy's address has it already.
+    /// Adds the evaluation of `policy`, whose training seed is `seed` if it was trained; the seed
+    /// is in the label only, since the policy's address has it already.
     fn evaluation_of(
         &mut self,
         grid: &GridSection,

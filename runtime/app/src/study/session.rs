@@ -107,7 +107,7 @@ impl Study {
         }
     }
 
-    /// Every cell of the part with how it stands, and sums. Nothing is locked or written: another
+    /// Every cell of the part with how it stands. Nothing is locked or written: another
     /// process may work in the folder meanwhile. The last line has the sums and an estimate of the
     /// time, from what the cells that are done took.
     #[must_use]

@@ -77,7 +77,7 @@ pub(crate) fn compute(args: &ComputeArgs) -> Result<Compute, SessionError> {
     })
 }
 
-/// The codec of `--video`, in which `ffmpeg` writes an exported dataset's videos.
+/// The codec of `--video`, with which `ffmpeg` compresses a dataset's videos.
 pub(crate) const fn codec(video: Video) -> VideoCodec {
     match video {
         Video::H264 => VideoCodec::H264,
@@ -136,9 +136,8 @@ pub(crate) fn warn_of_transfer(setup: &Setup) {
     }
 }
 
-/// `trocar run`. Options are checked against each other and against the files that they name before
-/// anything is opened; then the console listens, so that a page may wait for the arms; then the
-/// arms are brought up.
+/// `trocar run`. Most options are checked before anything is opened; then the console listens, so
+/// that a page may wait for the arms; then the rest is checked and the arms are brought up.
 ///
 /// A page that is open hears of the end in either case: of the verdict, or of the error.
 ///
@@ -420,7 +419,7 @@ fn remote_arms(args: &RunArgs) -> Result<Option<RemoteArms>, SessionError> {
 /// `partial`: that fails unless `--part` says that a part will do.
 ///
 /// # Errors
-/// A log that can't be read, or, without `--part`, one that was cut off.
+/// A log that can't be read, or one that was cut off, unless `--part` takes what there is of it.
 pub(crate) fn verify(VerifyArgs { log: args, part }: &VerifyArgs) -> Done {
     check_result(args)?;
     forget_result(args)?;
@@ -460,7 +459,7 @@ pub(crate) fn verify(VerifyArgs { log: args, part }: &VerifyArgs) -> Done {
 /// The result must not take the place of the log.
 ///
 /// # Errors
-/// `BadArgument` if `--json` names the log itself, also by another path.
+/// `BadArgument` if `--json` names the log itself, also by another path, or can't be written.
 pub(crate) fn check_result(args: &LogArgs) -> Result<(), SessionError> {
     let log = ("the log", Some(args.file.as_path()));
     outputs::check(&[("--json", args.json.as_deref())], &[log])
@@ -511,8 +510,8 @@ fn networks() -> Result<String, String> {
     ))
 }
 
-/// `trocar doctor`: what the machine offers, with the renderer and the network library as probes,
-/// which the library's own `doctor` does not link. It is done whatever it finds.
+/// `trocar doctor`: what the machine offers. The renderer and the network library are asked by
+/// probes, which the module `doctor` calls. The exit code is 0 whatever is found.
 pub(crate) fn doctor(args: &DoctorArgs) -> Done {
     let findings = doctor::examine(&Probes {
         graphics: &graphics,
@@ -525,8 +524,8 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Done {
     Ok(true)
 }
 
-/// `trocar demo`: one task in lockstep and in real time, both replayed and verified, with a
-/// picture.
+/// `trocar demo`: one task in lockstep and in real time, both replayed and verified, with images of
+/// the first.
 pub(crate) fn demo(args: &DemoArgs) -> Done {
     let plan = demo::plan(&args.task, args.policy.as_deref(), args.seed)?;
     let result = demo::run(&plan, &args.out, &mut |line| console::note(line))?;

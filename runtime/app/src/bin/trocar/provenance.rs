@@ -1,5 +1,6 @@
 //! What an exported dataset's README says of recordings that the simulator made. Its fields are
-//! those of Open-H-Embodiment's dataset card, in that card's own words.
+//! those of Open-H-Embodiment's dataset card; data type, method and variations are words of its
+//! lists.
 
 use serde_json::Value;
 use trocar_data::dataset::Notes;

@@ -193,7 +193,7 @@ impl Progress {
     }
 
     /// The loss, samples a second and the time that is left; elsewhere than on a terminal a line is
-    /// due every `LINE_EVERY_S`, and one at the last step that has a row in `loss.csv`.
+    /// due every `LINE_EVERY_S`, and at the last step's row of `loss.csv`.
     fn standing(&mut self, standing: &TrainingStatus) {
         if self.bar.is_hidden() {
             let now = self.clock.now().seconds();

@@ -32,7 +32,8 @@ pub(super) enum Request {
     Other,
 }
 
-/// Its id is the viewer's choice, by which data is sent; its channel's that of `advertise`.
+/// `id` is the viewer's choice and stands in each message of data; `channel_id` is that of
+/// `advertise`.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct Subscription {

@@ -83,18 +83,12 @@ pub(super) trait Listener {
     /// A policy step has passed in the world.
     ///
     /// Every 40 ms of the drives' time; `sequence` counts policy steps from the start, also before
-    /// the episode.
-    ///
-    /// In this order: motors and world, stops, the beginning of the episode, faults, and a report
-    /// of the world if a policy step ends here.
-    ///
-    /// # Errors
-    /// If the simulation cannot read an arm.
+    /// the episode. Not called without a world.
     fn step(&mut self, sequence: u64, world: &WorldState, simulation: &Simulation);
 
     /// The controllers of all others on this line are off the bus.
     ///
-    /// The listener has the sockets on which an error frame can be sent.
+    /// The network emulates no error frame: the listener sees to one on the real bus.
     fn bus_off(&mut self, line: u8);
 }
 
@@ -185,6 +179,12 @@ impl Bench {
     }
 
     /// A millisecond of the world, which is over at `at`.
+    ///
+    /// In this order: motors and world, stops, the beginning of the episode, faults, and a report
+    /// of the world if a policy step ends here.
+    ///
+    /// # Errors
+    /// If the simulation cannot read an arm.
     pub(super) fn step(
         &mut self,
         at: TimeNs,
@@ -257,7 +257,8 @@ impl Bench {
         Some(WorldState::of(simulation, operational, begun))
     }
 
-    /// Errands of a fault are collected first, since the injector borrows the bench.
+    /// Lines that go bus-off are collected first and reported after, since the injector's other
+    /// callback borrows the listener.
     fn inject(
         &mut self,
         since_ns: u64,

@@ -90,7 +90,7 @@ pub(super) struct BusThread<'a> {
     pub(super) arms: usize,
     /// Of nodes that are among these arms.
     pub(super) faults: &'a [InjectedFault],
-    /// Of the interfaces whose places are the lines.
+    /// On all interfaces; the place of an interface is its line.
     pub(super) bus: SocketBus<CanClock>,
     /// How many interfaces there are.
     pub(super) lines: u8,

@@ -91,8 +91,8 @@ impl Coupling {
     /// Turns each motor to where its drive wants it, if that has torque and the motor is not slack:
     /// nothing else is moved.
     ///
-    /// Perfect motors: they are where they are wanted in the same millisecond, need no torque, and
-    /// keep their place without it.
+    /// Perfect motors: they are where they are wanted in the same millisecond, report a torque of
+    /// 0, and keep their place while the drive has no torque.
     pub(super) fn turn_freely(&self, network: &mut Network<Terminal>) {
         for (axis, slack) in self.plan.axes.iter().zip(self.slack) {
             let Some(motor) = network.motor(axis.node) else {

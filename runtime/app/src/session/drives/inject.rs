@@ -47,7 +47,7 @@ pub enum FaultKind {
     /// too high at boot; `at` and `for` do not matter.
     WrongIdentity,
     /// The controllers of all others on the bus count too many errors and leave it. Reported once,
-    /// as an error frame on the socket of every listener; nothing ends it.
+    /// as an error frame to every socket that asks for them; nothing ends it.
     BusOff,
     /// Another node sends SYNC on the bus. One frame, so a fault that lasts is several faults.
     ForeignMaster,
@@ -130,7 +130,7 @@ impl InjectedFault {
     }
 }
 
-/// A fault goes through all three once and in order; none begins twice.
+/// A fault goes through these in order and begins once; one without an end stays `Active`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     /// `at_ns` has not come.
@@ -283,7 +283,8 @@ impl Injector {
 /// The bit of 1001h that goes with a drive's own error.
 ///
 /// Error codes of CiA 301 have their class in the first digit: 2xxxh is current, 3xxxh voltage,
-/// 4xxxh temperature, 8xxxh monitoring. The generic bit alone stands for all others.
+/// 4xxxh temperature, 8xxxh monitoring, which sets the device profile's bit, also for errors of
+/// communication (81xxh). The generic bit alone stands for all others.
 const fn register_of(code: ErrorCode) -> u8 {
     match code.0 >> 12 {
         0x2 => register::CURRENT,

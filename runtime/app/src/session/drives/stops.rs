@@ -237,8 +237,7 @@ fn cause(node: &Node, powered: bool) -> StopCause {
 
 /// The stops of `stops` in a few lines: those of one arm for one reason together.
 ///
-/// In the order in which the first of each group stopped. Quadratic in their number, which is a
-/// few.
+/// In the order of the first of each group. Quadratic in their number, which is a few.
 #[must_use]
 pub(super) fn lines(stops: &[Stop]) -> Vec<String> {
     let mut lines = Vec::new();

@@ -138,8 +138,7 @@ impl Remote for CamerasChild {
 
 /// `trocar cameras`, with all that decides the scene of `plan`.
 ///
-/// All that decides the scene goes along: the process reads the same files and must come to the
-/// same scene hash.
+/// The process reads the same files and must come to the same scene hash.
 fn verb(plan: &Plan, topics: &str, wanted: &[String], pages: bool) -> Spawned {
     let setup = &plan.setup;
     let mut arguments: Vec<OsString> = vec!["cameras".into()];

@@ -88,8 +88,8 @@ impl ControlThread {
     /// Allocates everything that the loop needs.
     ///
     /// # Errors
-    /// If the controller's configuration does not hold, or the process is refused what it must hold
-    /// of the system.
+    /// If the controller's configuration is invalid, or a strict profile is refused what it asks of
+    /// the system.
     pub(super) fn new<S: Arms>(
         plan: &Plan<S>,
         channels: ControlChannels,

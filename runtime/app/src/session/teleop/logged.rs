@@ -26,7 +26,7 @@ const WHY_LEN_MAX: usize = 200;
 pub(crate) enum HandsNotice {
     /// Who drives from now on.
     Driver(Driver),
-    /// What part of the hand's way the tip makes from now on.
+    /// The motion scale from now on: the tip's way over the hand's.
     Scale(f64),
     /// What the hand of an arm does, and the arm's number from 0.
     Hand(usize, HandNotice),
@@ -155,7 +155,8 @@ impl LoggedHands {
 }
 
 /// How the hands were before the first of `notices`, as far as these tell: the beginning of a log
-/// with a bound is not kept. No hand moves its arm before the first scale is told.
+/// with a bound is not kept. The scale is the first that is told, which a whole log has before any
+/// hand engages.
 fn at_first(arms: usize, alone: bool, notices: &[(TimeNs, HandsNotice)]) -> TeleopStatus {
     let notices = || notices.iter().map(|(_, notice)| notice);
     let next_driver = notices().find_map(|notice| match notice {

@@ -11,7 +11,7 @@ use super::latency::FrameAgeMs;
 pub(crate) struct TeleopStatus {
     /// Whether the hands are devices at the run's own computer.
     pub(super) desk: bool,
-    /// What part of the hand's way the tip makes; none of a log that does not say.
+    /// The motion scale, the tip's way over the hand's; none of a log that does not say.
     pub(super) scale: Option<f64>,
     /// Within which angle of its instrument a tracked controller engages, degrees; none of a log.
     pub(super) align_deg: Option<f64>,
@@ -63,7 +63,7 @@ pub(crate) enum Phase {
     Writing,
 }
 
-/// A pose as numbers to five places: what a page shows.
+/// A pose as numbers to six places: what a page shows.
 pub(super) fn numbers(pose: &Pose) -> [f64; 7] {
     let q = pose.rotation.coords;
     let p = pose.translation.vector;

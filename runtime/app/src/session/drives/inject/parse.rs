@@ -13,8 +13,8 @@ use super::{FaultKind, InjectedFault};
 
 /// Names of the kinds on the command line.
 ///
-/// `emcy` stands for over-temperature of the drive, 4310h, unless `code=` says another; all others
-/// take no code.
+/// `emcy` stands for over-temperature of the drive, 4310h, unless `code=` says another. Of the
+/// others only `following-error`, which is an emergency too, takes a code.
 const KINDS: [(&str, FaultKind); 13] = [
     ("pull", FaultKind::Pull),
     ("reboot", FaultKind::Reboot),
