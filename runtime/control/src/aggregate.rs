@@ -4,10 +4,10 @@
 //! Source: ACT's temporal ensembling (weights `exp(-m i)`, `i = 0` the oldest prediction), by due
 //! time instead of by query count, so that late and missing chunks do no harm.
 //!
-//! With `w_i = exp(-m i)` and `p_i` the target positions at one instant: the position is `sum w_i
-//! p_i / sum w_i`, the rotation the weighted sum of quaternions brought to one hemisphere and
-//! normalised, the jaw that of the newest chunk, without a mean. `i` counts only chunks that cover
-//! the instant. A positive `m` favours the oldest prediction, a negative one the newest.
+//! With `w_i = exp(-m i)` and `p_i` the target positions at one instant: the position is
+//! `sum w_i p_i / sum w_i`, the rotation the weighted sum of quaternions brought to one hemisphere
+//! and normalised, the jaw that of the newest chunk, without a mean. `i` counts only chunks that
+//! cover the instant. A positive `m` favours the oldest prediction, a negative one the newest.
 
 use hal::chunk::CHUNK_STEPS_MAX;
 use hal::{ARMS_MAX, Chunk, TimeNs, TipTarget, count};

@@ -12,9 +12,10 @@
 //! whole speed limit costs as much as one of the jaw by its own, and the small joint weight keeps
 //! `P` positive definite where `J` is singular.
 //!
-//! A bound `low <= u <= high` reads `d <= (high - u_nominal) / v_max` and `-d <= (u_nominal - low)
-//! / v_max`; a row of geometry `a . u <= b` reads `(S a / v_tip) . d <= (b - a . u_nominal) /
-//! v_tip`; a cone `|M u| <= r` is divided by the tip's limit without `speed_fraction` and pace.
+//! A bound `low <= u <= high` reads `d <= (high - u_nominal) / v_max` and
+//! `-d <= (u_nominal - low) / v_max`; a row of geometry `a . u <= b` reads
+//! `(S a / v_tip) . d <= (b - a . u_nominal) / v_tip`; a cone `|M u| <= r` is divided by the tip's
+//! limit without `speed_fraction` and pace.
 
 use nalgebra::SMatrix;
 

@@ -62,9 +62,10 @@ impl Node {
     /// Whether `number` may be written now: what depends on other objects or on the state, beyond
     /// the object's own limits.
     ///
-    /// # Errors 0609 0030h for a value that is not allowed, 0800 0022h for a state that forbids it
-    /// now, 0800 0020h for a wrong signature in 1010h or 1011h, 0604 0043h for a second consumer of
-    /// one node, 0609 0036h for limits that cross, and those of a mapping.
+    /// # Errors
+    /// 0609 0030h for a value that is not allowed, 0800 0022h for a state that forbids it now,
+    /// 0800 0020h for a wrong signature in 1010h or 1011h, 0604 0043h for a second consumer of one
+    /// node, 0609 0036h for limits that cross, and those of a mapping.
     fn allowed(&self, address: Address, number: i64) -> Result<(), AbortCode> {
         let need = |fine: bool, code: AbortCode| if fine { Ok(()) } else { Err(code) };
         match (address.index, address.sub) {

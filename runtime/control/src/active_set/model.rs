@@ -30,8 +30,9 @@ impl<const N: usize> Method<N> {
     /// and all cones hold. After a short step with a faded multiplier or a violated cone it drops
     /// the remembered multipliers and goes on.
     ///
-    /// # Errors [`Failure::IterationLimit`] after [`MODELS_MAX`] models, [`Failure::Infeasible`]
-    /// where a model cannot be built, and what [`Method::settle`] returns.
+    /// # Errors
+    /// [`Failure::IterationLimit`] after [`MODELS_MAX`] models, [`Failure::Infeasible`] where a
+    /// model cannot be built, and what [`Method::settle`] returns.
     pub(super) fn meet_cones(&mut self) -> Result<Entry, Failure> {
         for _ in 0..MODELS_MAX {
             self.count_iteration()?;
