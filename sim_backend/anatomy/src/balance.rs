@@ -6,11 +6,10 @@
 //! the potentials solve a Laplace equation on the graph of groups, weighted by the areas of their
 //! common surfaces.
 //!
-//! With `A_ab` the area between groups a and b, the change of a's volume is
-//! `sum over b of A_ab (p_a - p_b)` to first order, which is the Laplacian of that graph applied to
-//! `p`. The background has `p` = 0: it takes what all groups together gain. Smoothing and
-//! decimation each end with it. It doesn't look for sheets that pass each other: `hold` and the
-//! caller do.
+//! With `A_ab` the area between groups a and b, the change of a's volume is `sum over b of A_ab
+//! (p_a - p_b)` to first order, which is the Laplacian of that graph applied to `p`. The background
+//! has `p` = 0 and loses what all groups together gain. Smoothing and decimation each end with it.
+//! Surfaces that cross are not looked for here: `hold` and the caller prevent them.
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
@@ -24,8 +23,7 @@ const ROUNDS: u32 = 6;
 
 /// Twice the area of a triangle along its normal.
 ///
-/// It points to the group before the triangle, `sides[1]`. Only its length is twice the area;
-/// nothing is normalised.
+/// It points to the group before the triangle, `sides[1]`.
 fn area_normal(complex: &Complex, triangle: usize) -> Vector3<f64> {
     let [a, b, c] = complex.corners(triangle);
     (b - a).cross(&(c - a))
@@ -33,8 +31,8 @@ fn area_normal(complex: &Complex, triangle: usize) -> Vector3<f64> {
 
 /// Potentials that add `wanted` (mm³ by group) to the volumes, mm.
 ///
-/// Dense LU of 32 x 32, some microseconds; the sums over triangles cost more. None if the matrix is
-/// singular, as where a set of groups has no common surface with the background. Entry 0 is 0.
+/// None if the matrix is singular, as where a set of groups has no common surface with the
+/// background. Entry 0 is 0.
 fn potentials(complex: &Complex, wanted: &[f64]) -> Option<DVector<f64>> {
     let mut laplace = DMatrix::zeros(GROUPS, GROUPS);
     for (triangle, sides) in complex.sides.iter().enumerate() {

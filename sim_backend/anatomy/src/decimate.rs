@@ -8,10 +8,10 @@
 //! farther than the bound from triangles between the same two groups. And no collapse lets a
 //! triangle cross another of its part.
 //!
-//! Way of a complex: cut into slabs along its longest side, each decimated by itself with the
-//! vertices between slabs held (`split`, `state`), put together (`merge`), and decimated once more
-//! without any held. The samples of the first pass are those of the second, so the bound is not
-//! doubled.
+//! A complex is cut into slabs along its longest side, each is decimated by itself with the
+//! vertices between slabs held (`split`, `state`); they are put together (`merge`) and decimated
+//! once more without any held. The samples of the first pass are those of the second, so the bound
+//! is not doubled.
 //!
 //! The bound is one-sided: from the fine vertices to the coarse triangles. How far the coarse
 //! surface strays from the fine one between them is not bounded; [`crate::measure`] measures both

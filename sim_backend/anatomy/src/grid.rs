@@ -190,8 +190,6 @@ impl Turn {
     }
 
     /// Of each voxel of the turned lattice in its order, the index in the lattice's own order.
-    ///
-    /// A row costs two additions, a voxel one multiplication and one addition.
     fn indices(&self) -> impl Iterator<Item = usize> + '_ {
         let strides = [1, self.dims[0], self.dims[0] * self.dims[1]];
         let [width, height, depth] = self.of(self.dims);

@@ -5,11 +5,11 @@
 //! and a damaged or hostile header must not decide how much is allocated. Format:
 //! <https://nifti.nimh.nih.gov/nifti-1/>.
 //!
-//! Way of a volume: `header` parses and checks 348 bytes, `read` streams slices through a callback
-//! that decides what to keep, `write` does the reverse. Voxels run with the first axis fastest, as
-//! in the file. The place is the sform's, or the qform's, with lengths turned to mm; both are maps
-//! to RAS by the standard, so nothing is flipped. Extensions between header and voxels are passed
-//! over; NIfTI-2, pairs of `.hdr` and `.img`, complex and RGB voxels are refused.
+//! `header` parses and checks 348 bytes, `read` streams slices through a callback that decides what
+//! to keep, `write` does the reverse. Voxels run with the first axis fastest, as in the file. The
+//! place is the sform's, or the qform's, with lengths turned to mm; both are maps to RAS by the
+//! standard, so nothing is flipped. Extensions between header and voxels are passed over; NIfTI-2,
+//! pairs of `.hdr` and `.img`, complex and RGB voxels are refused.
 
 mod header;
 mod read;

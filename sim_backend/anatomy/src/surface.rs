@@ -2,8 +2,7 @@
 //!
 //! From a [`Padded`](crate::volume::Padded) volume to triangles with a group on either side:
 //! [`nets`] or [`cubes`] find the faces, [`complex`] holds them in the world. Neither smooths nor
-//! decimates. Vertices begin where voxels say, at most half a voxel off any smooth surface through
-//! them.
+//! decimates. Vertices begin at corners of voxels (nets) or half-way between two centres (cubes).
 
 pub mod complex;
 pub mod cubes;

@@ -1,8 +1,8 @@
 //! glTF 2.0 in one binary file.
 //!
-//! A node, mesh and material a group below one root. The root turns by half about the axis (0, 1,
-//! 1): x to -x, y to z, z to y, which is from RAS to glTF's y up and z forward. Positions stay RAS
-//! in metres, so our own reader (`read`) takes them without the rotation.
+//! Each group has a node, a mesh and a material below one root. The root is a half turn about the
+//! axis (0, 1, 1): x to -x, y to z, z to y, which is from RAS to glTF's y up and z forward.
+//! Positions stay RAS in metres, so our own reader (`read`) takes them without the rotation.
 
 use std::collections::BTreeMap;
 

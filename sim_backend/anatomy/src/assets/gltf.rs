@@ -2,7 +2,8 @@
 //! container.
 //!
 //! Little-endian throughout; the file is a header of 12 bytes and two chunks, JSON and numbers,
-//! each of a multiple of 4 bytes (glTF 2.0, section 4). One view an array, no strides, no sharing.
+//! each of a multiple of 4 bytes (glTF 2.0, section 4). Each array has a view of its own, without
+//! stride.
 
 use serde_json::{Value, json};
 

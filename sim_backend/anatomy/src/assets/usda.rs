@@ -1,7 +1,7 @@
 //! OpenUSD as text: a prim a group, with material, semantics and collider.
 //!
 //! Text, so that a diff shows what changed and no library is needed. `/Patient` has `Materials` and
-//! a `Mesh` a group; points are RAS metres, z up, as the head of the stage says, so nothing is
+//! one `Mesh` per group; points are RAS metres, z up, as the head of the stage says, so nothing is
 //! turned. Numbers are the shortest that read back the same.
 
 use std::fmt::Write as _;

@@ -13,11 +13,9 @@ use crate::mesh::GroupMesh;
 pub(super) struct Chart {
     /// Indices in the mesh, with corners in the plane, counter-clockwise.
     triangles: Vec<(usize, [Point2<f64>; 3])>,
-    /// Places in `triangles` by the cells that their boxes touch: a hash grid without a hash, so
-    /// that its order is fixed.
-    ///
-    /// Side of a cell, mm: twice an edge of the mesh's first triangle.
+    /// Places in `triangles` by the grid cells that their boxes touch.
     cells: BTreeMap<(i64, i64), Vec<usize>>,
+    /// Side of a cell, mm: twice an edge of the mesh's first triangle.
     cell: f64,
     /// The box of all triangles; infinite the wrong way round while there is none.
     low: Point2<f64>,

@@ -1,8 +1,8 @@
 //! Charts side by side on shelves.
 //!
-//! Shelf packing, tallest first: simple, and always the same. The first square has the area of all
-//! charts, each further one a side 3 % longer; O(charts) a trial. What is used of the square is in
-//! the report as `atlas_used`.
+//! Shelf packing, tallest first: simple and deterministic. The first square has the area of all
+//! charts, or the side of the longest; each further one has a side 3 % longer. The report has the
+//! share of the square that is used as `atlas_used`.
 
 use nalgebra::{Point2, Vector2};
 

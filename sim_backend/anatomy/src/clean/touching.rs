@@ -67,7 +67,7 @@ fn block(voxels: &[u8], strides: [usize; 3], at: usize) -> [u8; 8] {
 
 /// How many groups of a block are in a critical place.
 ///
-/// Each group counts once, at most four.
+/// At most four, since each has two voxels of the block or more.
 fn criticals(block: [u8; 8]) -> usize {
     let is_first = |i: usize| !block[..i].contains(&block[i]);
     let mask = |group: u8| (0..8).fold(0, |mask, i| mask | u8::from(block[i] == group) << i);
@@ -115,7 +115,7 @@ fn criticals_around(voxels: &[u8], strides: [usize; 3], voxel: usize) -> usize {
 /// The change of one voxel in the block at `at`, to a group of lower rank in it, that leaves the
 /// fewest critical places around.
 ///
-/// Sixty-four trials at most, each of eight blocks. None if no voxel of the block may change.
+/// 28 trials at most, each of eight blocks. None if no voxel of the block may change.
 fn best_change(volume: &mut Padded, ranks: &[u32], at: usize) -> Option<(usize, u8)> {
     let strides = volume.strides();
     let groups = block(&volume.voxels, strides, at);

@@ -47,11 +47,11 @@ impl State {
     /// Where `u` and `v` may come together, if what holds them lets them; `bits` are the groups
     /// around their edge.
     ///
-    /// Between two sheets the least of the summed quadrics, if it is within an edge's length of the
-    /// middle: near-flat regions have their least far away. Between two vertices of a line an end
-    /// or the middle, and only if the edge itself is on a line; a chord between two lines never
-    /// collapses. A vertex at the rim of a part stays and takes nothing in, for the other part
-    /// would not know.
+    /// Between two sheet vertices the least of the summed quadrics, if it is within an edge's
+    /// length of the middle, else the best of both ends and the middle: in near-flat regions the
+    /// least is ill-conditioned and may be far away. Between two vertices of a line an end or the
+    /// middle, and only if the edge itself is on a line; a chord between two lines never collapses.
+    /// A vertex at the rim of a part stays and takes nothing in, for the other part would not know.
     pub(super) fn place(&self, u: u32, v: u32, bits: u32) -> Option<Point3<f64>> {
         let [a, b] = [u, v].map(|v| self.positions[v as usize]);
         let on_line = bits.count_ones() > 2;

@@ -31,9 +31,8 @@ pub(super) enum Kind {
 
 /// An edge that may collapse: cost as bits, which order like the number; vertices; their versions.
 ///
-/// A candidate whose versions are not the vertices' own is out of date and is passed over, so that
-/// none has to be looked up in the heap. Equal costs fall back on vertices: the order is total, and
-/// the result always the same.
+/// A candidate whose versions are not the vertices' own is stale and skipped, so that none has to
+/// be looked up in the heap. Equal costs are ordered by vertices, so the result is deterministic.
 type Candidate = Reverse<(u64, u32, u32, u32, u32)>;
 
 /// Triangles with what a collapse needs to know of their vertices.
@@ -52,7 +51,8 @@ pub(super) struct State {
     pub(super) kinds: Vec<Kind>,
     /// Groups around each vertex, a bit a group.
     pub(super) groups: Vec<u32>,
-    /// By vertex: the planes of all fine triangles that have collapsed into it.
+    /// By vertex: the planes of the triangles, at the beginning of this pass, around all vertices
+    /// that have collapsed into it, and those of `hold_line`.
     pub(super) quadrics: Vec<Quadric>,
     /// See `Sampled`.
     pub(super) samples: Vec<Point3<f64>>,
@@ -130,8 +130,7 @@ impl State {
 
     /// Neighbours of `v` with the groups around the edge to each.
     ///
-    /// Each neighbour once, in order of its number. Allocates; it runs once at each vertex, and
-    /// once after each collapse.
+    /// Each neighbour once, in order of its number. Allocates.
     fn edges(&self, v: u32) -> Vec<(u32, u32)> {
         let mut edges: Vec<(u32, u32)> = Vec::with_capacity(2 * self.around[v as usize].len());
         for &triangle in &self.around[v as usize] {

@@ -16,7 +16,8 @@ use crate::grid::Grid;
 use crate::nifti::{SIDE_MAX, VOXELS_MAX};
 use crate::number::real;
 
-/// How far directions, without a unit, and spacings, mm, of slices may differ, in all.
+/// Most that two slices may differ: the sum over both axes of the distance of the unit directions
+/// and of the difference of spacings, mm.
 const TOLERANCE: f64 = 1e-3;
 /// How far a gap between slices may be from the usual one, and a slice from its place, in steps.
 const STEP_TOLERANCE: f64 = 0.05;

@@ -50,7 +50,7 @@ pub(super) fn crossings(
 /// Where the ray at (y, z) crosses a triangle.
 ///
 /// By signed areas in the yz plane. A side shared by two triangles gets the same magnitude in both,
-/// bit by bit, so no ray slips between them. None too for a triangle that the ray sees edge on.
+/// bit by bit, so no ray slips between them. None also for a triangle parallel to the ray.
 fn crossing([a, b, c]: &[Point3<f64>; 3], y: f64, z: f64) -> Option<f64> {
     let side = |p: &Point3<f64>, q: &Point3<f64>| {
         // From the same end for both triangles at an edge, so that the ray passes one of them.

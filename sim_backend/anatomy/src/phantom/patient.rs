@@ -5,8 +5,9 @@
 //! `4.5 sqrt(3) * 2 pi / 260` = 0.19, so three of them stay below 1: the map is a diffeomorphism,
 //! and voxels are looked up by it without inverting anything.
 //!
-//! Organs vary by up to 4 mm and -14 to 5 % in size; if the lattice test finds that two might
-//! overlap, the same variation is tried at three quarters, a half, a quarter and not at all.
+//! Organs move by up to 4 mm along each axis and vary by -14 to 5 % in size; if the lattice test
+//! finds that two might overlap, the same variation is tried at three quarters, a half, a quarter
+//! and not at all.
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
