@@ -4,8 +4,8 @@
 //! arm's tool.
 //!
 //! Vertices are shared where a surface is smooth and double where it has an edge, since normals are
-//! theirs. `segments` is how many pieces a full turn is cut into; meshes of fewer than three are
-//! flat. Triangles without area, as at poles, are taken out; meshes are not welded, so they look
+//! theirs. `segments` is how many pieces a full turn is cut into; fewer than three make a flat
+//! mesh. Triangles without area, as at poles, are taken out; meshes are not welded, so they look
 //! closed and need not be watertight.
 
 pub mod instrument;

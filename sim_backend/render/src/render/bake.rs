@@ -123,7 +123,7 @@ impl Paints {
         paints
     }
 
-    /// One submission for all layers; pipelines of patterns are compiled when they are first met.
+    /// One submission for all layers; the pipeline of a pattern is compiled at its first layer.
     fn paint(&self, device: &wgpu::Device, queue: &wgpu::Queue) {
         let painter = Painter::new(device);
         let mut looks: BTreeMap<u32, wgpu::RenderPipeline> = BTreeMap::new();
@@ -151,8 +151,8 @@ impl Paints {
 
     /// The layer in which `wanted` was painted; 0 if it has no pattern.
     ///
-    /// As a number for the object record, where all is in floats. Panics if `wanted` was not among
-    /// the squares, which is a mistake of the renderer.
+    /// A float, as all of the object record. Panics if `wanted` was not painted, which is a bug of
+    /// the renderer.
     #[expect(
         clippy::cast_precision_loss,
         reason = "a scene has a handful of layers"
@@ -183,7 +183,7 @@ fn key(wanted: &Wanted) -> Option<Key> {
     Some((pattern, colour, at, wanted.size_m.to_bits()))
 }
 
-/// An image with a layer a pattern, and one at least.
+/// An array with one layer per pattern, at least one.
 fn layered(
     device: &wgpu::Device,
     label: &str,

@@ -30,8 +30,8 @@ pub struct Camera {
 /// scene in the same light.
 ///
 /// The spot's irradiance at distance `d` is `intensity * reference_distance_m^2 / d^2`, times a
-/// smoothstep of the cosine to the axis between the whole angle of the cone and half of it.
-/// Brightness has no unit: the filmic response makes 0.72 of a brightness of 1 (`tone.wgsl`).
+/// smoothstep of the cosine to the axis: 0 at `cone_half_angle_rad`, 1 within half of that angle.
+/// Brightness has no unit: the filmic response maps 1 to 0.71 (`tone.wgsl`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
     /// Where the guide ends and points, scene frame: it shines along z.
@@ -57,8 +57,8 @@ impl Light {
     /// The light of an endoscope whose lens is `camera`: it covers what the camera sees and a
     /// little more.
     ///
-    /// The cone is 1.3 times the angle to the farthest corner of the picture and 0.08 rad, held
-    /// between 0.1 and 1.2 rad; distortion is not looked at.
+    /// The cone's half angle is 1.3 times the angle to the farthest corner of the picture plus 0.08
+    /// rad, clamped to 0.1 to 1.2 rad; distortion is ignored.
     #[must_use]
     pub fn beside(camera: &Camera) -> Self {
         let lens = &camera.intrinsics;
@@ -112,7 +112,7 @@ pub fn look_at(eye_m: Point3<f64>, target_m: Point3<f64>, up: Vector3<f64>) -> P
 impl Camera {
     /// Whether the camera can take an image of at most `size_px_max` pixels a side.
     ///
-    /// Poses are not looked at. Distortion is judged when a window is made for it (`lens`).
+    /// Poses are not checked. Distortion is checked when its window is made (`lens`).
     pub(super) fn check(&self, size_px_max: u32) -> Result<(), RenderError> {
         let lens = &self.intrinsics;
         let sizes = 1..=size_px_max;
@@ -147,8 +147,8 @@ impl Camera {
     /// Clip coordinates (y up, depth 0 at the near plane, 1 at the far one) of the pinhole from
     /// camera coordinates.
     ///
-    /// Depth is `far (z - near) / (z (far - near))`: much finer near the camera. Measured depth is
-    /// not made of it but interpolated as z in metres.
+    /// Depth is `far (z - near) / (z (far - near))`: much finer near the camera. The depth plane is
+    /// interpolated z in metres instead.
     pub(super) fn clip_from_camera(&self) -> Matrix4<f64> {
         let lens = &self.intrinsics;
         let (width, height) = (f64::from(lens.width), f64::from(lens.height));

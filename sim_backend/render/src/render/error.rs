@@ -1,7 +1,7 @@
 //! Why there is no image.
 //!
-//! Errors of opening name what to install or set; those of an image are the caller's numbers,
-//! except [`RenderError::Gpu`].
+//! [`RenderError::NoAdapter`] names what to install. [`RenderError::Device`] and
+//! [`RenderError::Gpu`] are the driver's; all others are faults of the caller's input.
 
 /// Why there is no image.
 #[derive(Debug, thiserror::Error)]

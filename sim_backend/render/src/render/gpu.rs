@@ -20,7 +20,7 @@ pub(super) struct Gpu {
     pub(super) device: wgpu::Device,
     /// Takes writes and submissions, in order.
     pub(super) queue: wgpu::Queue,
-    /// Adapter and driver, for people.
+    /// Adapter and driver, for messages.
     pub(super) name: String,
     /// Longest side of an image, pixels.
     pub(super) size_px_max: u32,

@@ -4,8 +4,9 @@
 //! Colour, ids and range of a pinhole are drawn into a larger image, the window; for each pixel of
 //! the picture the shader finds the ray that the lens sends there, by eight steps of Newton's
 //! method on the Brown-Conrady model ([`hal::Distortion`]), and reads the window where that ray
-//! falls: colour from four texels, ids and range from the nearest one. So ids are never mixed, and
-//! depth never lies between a thing and what is behind it.
+//! falls: colour from four texels, or from 24 places where blood or condensate blurs it, ids and
+//! range from the nearest texel. So ids are never mixed, and depth never lies between a thing and
+//! what is behind it.
 //!
 //! Its bind group 0: 0 the lens' record, 1 colour, 2 ids, 3 range, all read by texel without a
 //! sampler.

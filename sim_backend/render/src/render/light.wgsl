@@ -71,19 +71,19 @@ const GUIDE_M = 0.004;
 const PENUMBRA_M = 0.003;
 const TAPS = 24;
 
-// A place of so many that fill the unit disc evenly (Vogel 1979).
+// Point `index` of TAPS that fill the unit disc evenly (Vogel 1979).
 fn in_disc(index: i32) -> vec2f {
     let turn = 2.39996323 * f32(index);
     return sqrt((f32(index) + 0.5) / f32(TAPS)) * vec2f(cos(turn), sin(turn));
 }
 
-// The same of a light that has a size: the edge of a shadow is as wide as its caster is high
-// (percentage-closer soft shadows, Fernando 2005).
+// The same of a light of the width GUIDE_M: the penumbra is GUIDE_M times the distance from caster to receiver over that from
+// light to caster (percentage-closer soft shadows, Fernando 2005).
 fn soft_unshadowed(position: vec3f, normal: vec3f, distance: f32, point: Mapped) -> f32 {
     if point.outside {
         return 1.0;
     }
-    // Of the map, what a metre across the axis takes at that distance.
+    // Texture coordinates per metre across the axis at that distance.
     let per_m = 0.5 / (frame.shadow_window_tan * point.ahead_m);
     let search = 0.5 * PENUMBRA_M * per_m;
     let side = vec2f(textureDimensions(shadow_map));

@@ -1,8 +1,8 @@
 //! The images that the colour pass reads: shadow map and painted patterns.
 //!
 //! Bind group 1 of the colour pass: 0 shadow map (depth), 1 sampler that compares, 2 albedo and 3
-//! relief (arrays with a layer a pattern), 4 sampler that filters. Made once a renderer; the
-//! patterns do not change and the shadow map is drawn over.
+//! relief (arrays with one layer per pattern), 4 sampler that filters. Made once per renderer; the
+//! patterns do not change, the shadow map is drawn anew for each call.
 
 use super::bake::Paints;
 

@@ -7,8 +7,8 @@
 //! them. What surfaces look like is in `bake.wgsl` (patterns, painted once), `surface.wgsl` and
 //! `light.wgsl`. On one device and driver the same inputs give the same bytes.
 //!
-//! Way of an image: `station` finds targets and records for the camera, `scene` writes the records
-//! and orders the draws, `pipelines` encodes the passes (shadow map, labels, colour), `lens` adds a
+//! An image: `station` finds targets and records for the camera, `scene` writes the records and
+//! orders the draws, `pipelines` encodes the passes (shadow map, labels, colour), `lens` adds a
 //! pass where there is distortion or dirt, `targets` copies all planes into one staging buffer and
 //! unpacks it. Several cameras are submitted before the first is waited for.
 //!
@@ -90,10 +90,10 @@ pub enum Shading {
     /// For pictures that people look at: edges smoothed over the pixel, a film that is rougher
     /// where it is thin, light that comes through thin tissue, hollows that the light from all
     /// around does not reach (both baked by rays when it is chosen first). A software rasteriser
-    /// takes 2.3 times as long (102 and 45 ms, `tests/benches/RESULTS.md`).
+    /// takes 2.3 times as long without penumbras (102 and 45 ms, `tests/benches/RESULTS.md`).
     ///
     /// Shadows have penumbras (percentage-closer soft shadows, R. Fernando, 2005) of a light guide
-    /// of 4 mm: they grow with the height of the caster over the surface, up to 3 mm.
+    /// of 4 mm: they grow with the height of the caster over the surface, up to 3 mm wide.
     Fine,
     /// Painted colours in the same light without any of these, in 0.62 of the time (28 and 45 ms).
     Plain,
@@ -125,7 +125,7 @@ pub struct Renderer {
     lens_pass: Option<LensPass>,
     /// What is behind, as it was given.
     backdrop: Backdrop,
-    /// The layer of the patterns that the backdrop was painted in.
+    /// The layer that the backdrop's pattern was painted in.
     backdrop_layer: f32,
     /// How colours are made now.
     shading: Shading,

@@ -4,8 +4,8 @@
 //! Openness is the cosine-weighted share of the half sphere that is not hidden, where something at
 //! the distance `d` hides `1 - d / REACH_M` of its ray (ambient obscurance). Rays are drawn from
 //! the cosine's density, so their plain mean is that integral. What comes through is the mean of
-//! `exp(-d / SEEPS_M)` over rays into the surface (Beer and Lambert), `d` being the way to the far
-//! side.
+//! `exp(-d / SEEPS_M)` over rays into the surface (Beer and Lambert), `d` being the distance to the
+//! far side; rays that do not meet it within `6 SEEPS_M` count 0.
 //!
 //! No random numbers: directions are a Fibonacci spiral, the same at each vertex, so the same
 //! meshes give the same bytes on however many processors.
@@ -31,16 +31,14 @@ const SEEPS_M: f32 = 0.002;
 /// its own surface.
 const START_M: f32 = 2e-5;
 
-/// Rays a vertex that look outwards, if there are not too many vertices.
+/// Outward rays per vertex, if there are not too many vertices.
 const OUTWARDS: u16 = 64;
-/// The same at least, however many vertices there are.
+/// Fewest outward rays per vertex, however many vertices there are.
 const LEAST: usize = 16;
-/// Rays a vertex that look inwards.
+/// Inward rays per vertex.
 const INWARDS: u16 = 12;
 
-/// Most rays of a scene, but for the least of each vertex.
-///
-/// It bounds the time of baking.
+/// Most outward rays of a scene, unless `LEAST` per vertex are more. Bounds the time of baking.
 const RAYS_MAX: usize = 6_000_000;
 
 /// What is baked into one vertex.

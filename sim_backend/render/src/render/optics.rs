@@ -1,10 +1,10 @@
 //! What lies between a scene and its picture besides the lens' geometry.
 //!
 //! In the order in which light meets them: smoke, condensate, blood, vignette, noise (`lens.wgsl`).
-//! All are applied in linear light, before the filmic response and sRGB; the lens pass undoes both
-//! on the image that it reads. Exposure is a factor of the light in the colour pass already. Noise
-//! is a sum of random bytes that is nearly normal, from a hash of pixel, seed and moment (Jarzynski
-//! and Olano, 2020).
+//! All are applied in linear light, before the filmic response and sRGB, which the lens pass undoes
+//! on the image that it reads; only the blur by condensate and blood averages encoded values.
+//! Exposure is a factor of the light in the colour pass already. Noise is a sum of random bytes
+//! that is nearly normal, from a hash of pixel, seed and moment (Jarzynski and Olano, 2020).
 
 /// What dims, veils and roughens a picture on its way through lens and sensor. Colour alone shows
 /// it: ids and depth are those of the clean picture. The same numbers give the same bytes on one
@@ -33,8 +33,7 @@ pub struct Optics {
     pub seed: u32,
     /// When the image is taken, ms: smoke drifts with it, and noise is another one in each image.
     ///
-    /// It wraps without harm for noise; smoke starts again after 2^24 ms, some four and a half
-    /// hours.
+    /// It may wrap: noise does not mind; smoke starts again every 2^24 ms, 4.7 hours.
     pub moment: u32,
 }
 

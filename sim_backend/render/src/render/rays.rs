@@ -38,7 +38,7 @@ struct Node {
     first: u32,
     /// Of a leaf, how many there are.
     count: u32,
-    /// Place of the second box; 0 of a leaf, since the root is nobody's second.
+    /// Place of the second box; 0 of a leaf, since the root is no node's second.
     second: u32,
 }
 
@@ -118,7 +118,7 @@ impl Rays {
 
     /// Adds a box around `triangles`, and those in it; its place.
     ///
-    /// Calls itself once a level; median splits bound the depth by the logarithm.
+    /// Recursive; median splits bound the depth by the logarithm of the number of triangles.
     fn add(&mut self, triangles: &mut [Triangle]) -> u32 {
         let corners = || triangles.iter().flat_map(Triangle::corners);
         let low = corners().fold(Vec3::repeat(f32::MAX), |low, p| low.inf(&p));

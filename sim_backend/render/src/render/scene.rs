@@ -143,7 +143,7 @@ impl Scene {
 
     /// Bakes what is not baked yet into the vertices, as their meshes were when they were uploaded.
     ///
-    /// Runs on all processors and blocks. Meshes that were bent since are baked as they first were.
+    /// Runs on all processors and blocks.
     pub(super) fn bake(&mut self, queue: &wgpu::Queue) {
         if let Some(visuals) = self.unbaked.take() {
             self.bytes.clear();

@@ -2,8 +2,8 @@
 //! frame to frame.
 //!
 //! Making targets allocates on the device, and callers take images of the same sizes again and
-//! again. A pool with a bound: cameras beyond it are served too, with targets that are dropped when
-//! the pool is next in the way.
+//! again. From `KEPT` stations on, those that the present call does not use are dropped before
+//! another one is made; a call with more cameras still gets one for each.
 
 use super::lens::{LensPass, Window};
 use super::records::Records;

@@ -154,8 +154,8 @@ fn edges_are_smooth_in_colour_and_sharp_in_ids() {
     assert_eq!(elsewhere, 0);
 }
 
-/// Of the pixels of a plane below a ball at `height_m`, the share of its light that each gets, where
-/// it is neither all nor none.
+/// How many pixels of a plane below a ball at `height_m` are in penumbra: they get more light than
+/// the darkest one, and less than without the ball.
 fn half_lit(shading: Shading, height_m: f64) -> usize {
     let flesh = Material {
         detail: 0.0,
