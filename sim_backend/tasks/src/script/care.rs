@@ -36,7 +36,7 @@ pub struct SettleCriteria {
 pub(crate) struct Careful {
     care: SettleCriteria,
     rng: Rng,
-    /// How long the present motion has been put off for the tip, s; its pause is not in it.
+    /// How long the present motion's end has been put off for the tip, s, without its pause.
     waited_s: f64,
 }
 

@@ -5,11 +5,9 @@ use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::motion::{Motion, Placement};
 
-/// How far the measured tip may be from its target at the end of a motion, m, and how long to wait
-/// for it, s.
+/// How far the measured tip may be from its target at the end of a motion, m.
 const ARRIVED_M: f64 = 0.0006;
-/// After so long a part goes on wherever the tip is: something holds it, and the next phase shows
-/// what.
+/// How long to wait for that, s; then the part goes on wherever the tip is.
 pub(crate) const ARRIVED_PATIENCE_S: f64 = 0.6;
 
 /// `placement`, higher by `height_m`.

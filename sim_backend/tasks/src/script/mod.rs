@@ -5,11 +5,11 @@
 //! that instant. Targets form smooth paths from rest to rest, so that they can be recorded as
 //! demonstrations. Scripts follow what moves, and start over when a grasp failed.
 //!
-//! The way of a wish: [`AnyScript::wishes`] turns the scene into each hand's view, in the scene
-//! frame; [`play::Hand`] moves on in its part's phases, or stays, and gives the placement of its
-//! present [`motion::Motion`]; that becomes a target in the arm's RCM frame. For the rest of the
-//! chunk a copy of the script is played on in a scene that is imagined: arms where they were
-//! wanted, what is held carried along, nothing else moving.
+//! [`AnyScript::wishes`] turns the scene into each hand's view, in the scene frame; [`play::Hand`]
+//! moves on in its part's phases, or stays, and gives the placement of its present
+//! [`motion::Motion`]; that becomes a target in the arm's RCM frame. For the rest of the chunk a
+//! copy of the script is played on in a scene that is imagined: arms where they were wanted, what
+//! is held carried along, nothing else moving.
 
 pub(crate) mod alone;
 pub(crate) mod care;

@@ -8,7 +8,7 @@ use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 pub(crate) struct Placement {
     /// The control point: on the wrist-yaw axis, z along the closed fingers, x along their hinge.
     pub(crate) tip_in_scene: Pose,
-    /// Angle between the fingers, rad; below contact is a command to squeeze.
+    /// Angle between the fingers, rad; one below that of contact commands a squeeze.
     pub(crate) jaw: f64,
 }
 
@@ -151,8 +151,8 @@ impl Motion {
     }
 
     /// Moves the end towards `wanted`, by at most `step_m` and `step_rad`, so that the path bends
-    /// instead of jumping. Called once a step. What the end moves by shows up in the path by its
-    /// share `s` so far: late drifts are felt at once, early ones hardly.
+    /// instead of jumping. Called once a step. The path moves by the blend `s` (0 to 1) of what the
+    /// end moves by.
     pub(crate) fn drift_end(&mut self, wanted: &Pose, step_m: f64, step_rad: f64) {
         let end = &mut self.to.tip_in_scene;
         let gap_m = wanted.translation.vector - end.translation.vector;

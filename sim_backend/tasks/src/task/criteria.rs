@@ -21,8 +21,7 @@ pub struct Criterion {
     pub met: bool,
 }
 
-/// All that has to be so at once. In the order in which they were put in. A table without any is
-/// met.
+/// All that has to be so at once, in the order of insertion. Met if there are none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Criteria([Option<Criterion>; CRITERIA_MAX]);
 

@@ -3,8 +3,8 @@
 //! Once a millisecond, after the physics, a `MonitorInput` is read from the world and given to the
 //! `Judge`, which asks the task's `Monitor` and then looks at the clock. For handled things a
 //! monitor first asks its `Safeguard`, in this order: pose not finite, fingers too deep, thing too
-//! deep in hard ground, energy from nowhere (all invalid); squeezed, thrown, ground pressed, fallen
-//! (all lost). Success can only follow if none of these is so.
+//! deep in hard ground, energy gain (all invalid); squeezed, thrown, ground pressed, fallen (all
+//! lost). Success can only follow if none of these is so.
 
 use core::fmt;
 use std::collections::VecDeque;
@@ -465,10 +465,11 @@ impl DwellTimer {
 pub(super) struct FailureMonitor {
     thing: &'static str,
     limits: Limits,
-    /// Steps in a row with fingers too deep in it; likewise below with too deep ground and too much
-    /// force. [`JUDGED_STEPS`] of them decide.
+    /// Steps in a row with a finger too deep in the thing; [`JUDGED_STEPS`] of them decide.
     deep_steps: usize,
+    /// Likewise with the thing too deep in hard ground.
     sunk_steps: usize,
+    /// Likewise with too much force of a finger.
     hard_steps: usize,
     /// Least energy since an instrument last touched it, J; infinite while one does.
     least_energy_j: f64,

@@ -72,7 +72,7 @@ fn after_settling(config: &WorldConfig, arms: &[ArmStart], scenery: &Scenery) ->
     world
 }
 
-/// Whether any thing's centre of mass moves; turning on the spot does not count.
+/// Whether any thing's centre of mass moves faster than [`SLIDES_M_S`]; rotation does not count.
 fn slides(world: &World) -> bool {
     (0..world.thing_count()).any(|thing| world.thing_velocity(thing)[0].norm() > SLIDES_M_S)
 }

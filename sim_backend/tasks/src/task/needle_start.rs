@@ -1,9 +1,9 @@
 //! Where the needle lies when an episode begins.
 //!
 //! A place is three uniform numbers: x and y of the middle of the wire's arc, and the yaw. The
-//! needle is laid along the slope there and lifted until its whole wire is clear of the ground;
-//! `laying` then lets it settle. On a patient's organ places are drawn until one suits: level
-//! enough, within reach, and the wire close to the organ all along.
+//! needle is laid along the slope under its arc's centre and lifted until its wire is clear of the
+//! ground; `laying` then lets it settle. On a patient's organ places are drawn until one suits:
+//! level enough, within reach, and the wire close to the organ all along.
 
 use core::f64::consts::PI;
 use core::iter;

@@ -1,10 +1,10 @@
 //! Where on an organ to work: the flattest places of its front.
 //!
 //! A place is a vertex of the organ and its normal. Seen along that, the organ's highest surface is
-//! sampled every 4 mm within 60 mm either way: it must reach all around as far as the radius asks,
-//! and must not stand up beyond. The root mean square of its heights about their mean says how flat
-//! the place is. At most 500 vertices of the front are looked at, evenly spread over their list;
-//! there is no random choice.
+//! sampled every 4 mm within 60 mm either way: it must be there all over the radius, and must not
+//! stand up by more than 15 mm beyond it. The root mean square of its heights about their mean says
+//! how flat the place is. At most 500 vertices of the front are looked at, evenly spread over their
+//! list; there is no random choice.
 
 use hal::{Mesh, Pose};
 use nalgebra::{Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -16,20 +16,20 @@ use super::relief::Relief;
 pub(in crate::task) const WIDE: &[f64] = &[0.030];
 /// The same for needles: narrower where an organ does not reach that far around any place.
 pub(super) const NARROW_TOO: &[f64] = &[0.030, 0.022, 0.016];
-/// How far around nothing of the organ may stand up, m, and how high, m.
+/// How far around a place nothing of the organ may stand up, m.
 const AROUND_M: f64 = 0.060;
-/// Height above the plane that touches the place, m.
+/// Greatest height of what is around above the tangent plane of the place, m.
 const STANDS_UP_M: f64 = 0.015;
 /// Distance of the heights that a place is judged by, m.
 const SPACING_M: f64 = 0.004;
 /// Cosine of the greatest angle between the surface and the patient's front: instruments come in
 /// through the belly.
 const FRONT_MIN: f64 = 0.5;
-/// Most places that are looked at; how many of them a task may choose from, and how far these are
-/// from each other, m.
+/// Most places that are looked at.
 const PLACES_MAX: usize = 500;
 /// Most places of each radius that a task may choose from.
 const CHOICES: usize = 6;
+/// Least distance between two of them, m.
 const APART_M: f64 = 0.015;
 /// Size of the body, m: no organ reaches further.
 const ORGAN_M_MAX: f64 = 1.0;
@@ -88,7 +88,7 @@ impl Patch {
     }
 
     /// The place `at` with the outward `normal`, at `centre_m` in the scene; none if the organ does
-    /// not reach all around. Costs a pass over the whole mesh.
+    /// not reach all around, or stands up beyond. Costs a pass over the whole mesh.
     fn at(
         mesh: &Mesh,
         at: &Point3<f64>,

@@ -18,8 +18,8 @@ pub(crate) enum Phase {
     /// Lifting the needle to the height of the hole. From here on the needle is lost after four
     /// steps (160 ms) without touch by both fingers.
     Lift,
-    /// Turning the needle and carrying it along the lip to before the hole. Ends when the motion is
-    /// over, the needle turned and `Style::aside_m` before where `Near` brings it.
+    /// Turning the needle and carrying it along the lip to `Style::aside_m` before where `Near`
+    /// brings it. Ends when the motion is over, wherever the needle is.
     Cross,
     /// Bringing its point up to the hole. Ends when the motion is over and the tip within 0.4 mm of
     /// where it lines the needle up, or 0.6 s later.
@@ -29,7 +29,7 @@ pub(crate) enum Phase {
     Drive,
     /// Turning it back. To where it was lined up, for another attempt. Ends 0.2 s after the motion.
     Back,
-    /// Holding it there. The last phase: not even a loss ends it, since the needle is through.
+    /// Holding it there. The last phase: not even a loss ends it.
     Hold,
     /// Opening the jaw after a missed or lost grip. Ends 0.3 s after the motion.
     Open,
