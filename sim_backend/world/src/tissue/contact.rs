@@ -23,13 +23,13 @@ const REACH_M: f64 = 0.002;
 pub(super) struct Part {
     /// Its shape, in its own frame.
     solid: Solid,
-    /// Stiffness of its skin, N/m^3, and friction.
+    /// Contact stiffness, N/m^3, and friction.
     touch: ContactParameters,
-    /// Damping of its skin by area, N s/m^3, for the mass of this sheet.
+    /// Contact damping by area, N s/m^3, for the mass of this sheet.
     damping_n_s_m3: f64,
-    /// Of the sheet: so far from its middle surface it is touched.
+    /// Half the sheet's thickness: closer to its middle surface than this there is contact, m.
     half_thickness_m: f64,
-    /// From the last pose to the next, over the millisecond.
+    /// From the pose at the start of the millisecond to that at its end.
     motion: Motion,
     /// Samples that the part may reach in this millisecond.
     near: Vec<usize>,
@@ -41,7 +41,7 @@ pub(super) struct Part {
     rubs: Vec<Vector3<f64>>,
     /// By node, N: the normal force of this sub-step; 0 where nothing touches.
     loads_n: Vec<f64>,
-    /// By node: forces summed, so that their direction is the mean normal.
+    /// By node, N: sum of the normal forces, whose direction is the mean normal.
     normals: Vec<Vector3<f64>>,
     /// Sums since the millisecond began.
     felt: Felt,

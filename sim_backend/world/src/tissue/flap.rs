@@ -166,7 +166,7 @@ impl Tissue {
         sheet.drift(dt_s);
     }
 
-    /// Whether every number is one and near.
+    /// Whether every node is within [`RANGE_M`] and every velocity finite.
     fn in_range(&self) -> bool {
         let near = |v: &Vector3<f64>| v.iter().all(|x| x.abs() <= RANGE_M);
         self.sheet.positions.iter().all(near)

@@ -56,8 +56,8 @@ impl Jaw {
         }
     }
 
-    /// An empty jaw that is shut is one solid finger, so that tissue is not squeezed into a gap
-    /// that it would not fit.
+    /// An empty jaw that is shut counts as one solid: both fingers reach through to each other's
+    /// outer face, so that tissue is not drawn into a gap that it would not fit.
     pub(super) fn begin(&mut self, input: &JawInput, sheet: &Sheet, samples: &Samples) {
         self.motion = Motion::new(&self.input.middle(), &input.middle(), TICK_S);
         self.input = *input;
@@ -77,8 +77,8 @@ impl Jaw {
         }
     }
 
-    /// `substeps` is how many there were; forces are their means. The pull of the patch goes to
-    /// both pads in halves, the squeeze to both with opposite signs.
+    /// Forces are means over the `substeps`. Each pad gets half of the patch's pull; the squeeze
+    /// goes to both with opposite signs.
     pub(super) fn end(&mut self, sheet: &Sheet, samples: &Samples, substeps: f64) {
         let felt: [Felt; 3] = [0, 1, 2].map(|index| self.parts[index].felt(substeps));
         let pull = self.hold.felt(substeps);
@@ -104,7 +104,7 @@ impl Jaw {
             .decide(&self.input, sheet, samples, pressed_n, pull.force.norm());
     }
 
-    /// How far the mark is from it is filled in by whoever knows the mark.
+    /// `beside_mark_m` is filled in by the flap, which knows the mark.
     fn grasp(&self, sheet: &Sheet, pull: &Wrench) -> Grasp {
         Grasp {
             area_m2: self.hold.area_m2(),

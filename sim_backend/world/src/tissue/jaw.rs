@@ -30,7 +30,7 @@ pub struct JawInput {
 }
 
 impl JawInput {
-    /// Whether every number is one.
+    /// Whether every number is finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         let poses = self.fingers.iter().all(|pose| {

@@ -16,7 +16,7 @@ pub struct Material {
     pub poisson: f64,
     /// Density, kg/m³.
     pub density_kg_m3: f64,
-    /// Inner damping (Kelvin-Voigt) as a time: the stress lags so far behind the strain, s.
+    /// Inner damping (Kelvin-Voigt): viscosity over stiffness, s; strain lags stress by it.
     pub relaxation_s: f64,
     /// Damping by what surrounds the sheet: the share of its momentum that it loses in a second,
     /// 1/s.

@@ -1,9 +1,9 @@
 //! The velocities of a sub-step, by Newton's method on a convex cost: the drives' and the things'
 //! momentum, the drives' dry friction, and every contact together.
 //!
-//! The cost is strictly convex, so there is one minimum, and the search along each Newton direction
-//! never leaves its neighbourhood: what a drive with hundreds of times a thing's mass presses on
-//! the ground is solved as exactly as a thing that lies alone.
+//! The cost is strictly convex, so its minimum is unique; each Newton step has a line search. What
+//! a drive with hundreds of times a thing's mass presses on the ground is solved as exactly as a
+//! thing that lies alone.
 
 use nalgebra::{Matrix3, Matrix4, Vector4};
 
@@ -84,7 +84,8 @@ impl Masses {
         }
     }
 
-    /// Sum of squares of `momentum`, each by its inertia: twice a kinetic energy, J.
+    /// Sum of squares of `momentum`, each over its diagonal entry of the mass matrix: about twice a
+    /// kinetic energy, J.
     fn energy(&self, momentum: &[f64]) -> f64 {
         let drives = self.drives.iter().zip(momentum);
         let drives: f64 = drives.map(|(drive, p)| p * p / drive.inertia).sum();
@@ -115,7 +116,7 @@ impl Row {
         ]
     }
 
-    /// Relative velocity along normal and tangents at the velocities `v`.
+    /// Relative velocity along normal and tangents, and of spin, at the velocities `v`, m/s.
     fn speed(&self, drives: usize, v: &[f64]) -> Vector4<f64> {
         let mut speed = Vector4::zeros();
         let [arm, thing] = self.offsets(drives);

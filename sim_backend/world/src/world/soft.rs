@@ -1,9 +1,8 @@
 //! Soft ground: heights and normals of a surface that gives way under points.
 //!
-//! Rigid solids go through the detector; soft ground has none of its triangles, only a height over
-//! each place, and is met by balls. The gap is the first-order distance from the surface,
-//! `(z - height) n_z - radius`: exact on a plane, and good where the surface curves little within
-//! the gap. It is negative by how deep a ball sinks in.
+//! Rigid solids go through the detector; soft ground is a height field and is met by balls. The gap
+//! is the first-order distance from the surface, `(z - height) n_z - radius`: exact on a plane, and
+//! good where the surface curves little within the gap. Below 0 it is minus the penetration depth.
 
 use nalgebra::Vector3;
 

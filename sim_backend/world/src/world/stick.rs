@@ -46,9 +46,9 @@ impl Memory {
         }
     }
 
-    /// The motion in the scene that takes the thing from where it is to where it stuck. Velocity
-    /// that brings the thing's `point` (scene frame) back to where it stuck to the finger, along
-    /// the surface with `normal`, m/s; and the spin about the normal that turns it back, rad/s.
+    /// Velocity that brings the thing's `point` (scene frame) back to where it stuck to the finger,
+    /// along the surface with `normal`, m/s; and the spin about the normal that turns it back,
+    /// rad/s. Both 0 without a memory.
     pub(super) fn homing(
         &self,
         (finger, thing): (&Pose, &Pose),

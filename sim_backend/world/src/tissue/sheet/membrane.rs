@@ -30,7 +30,7 @@ struct Strains {
 }
 
 impl Edges {
-    /// Of positions they are pure numbers; of velocities, rates in 1/s.
+    /// Dimensionless for positions; for velocities, rates in 1/s.
     #[inline]
     fn of(values: &[Vector3<f64>], corners: [usize; 4], per_m: [f64; 2]) -> Self {
         let [a, b, c, d] = corners;
@@ -194,7 +194,7 @@ pub(super) fn green_max(sheet: &Sheet) -> f64 {
     largest
 }
 
-/// Gives the strains of each cell, the first axis fastest.
+/// Visits the strains of each cell, the first axis fastest.
 fn for_cells(sheet: &Sheet, mut visit: impl FnMut(&Strains)) {
     let per_m = sheet.spacing_m.map(f64::recip);
     let row = sheet.nodes[0];

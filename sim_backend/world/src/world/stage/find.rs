@@ -2,8 +2,8 @@
 //!
 //! The order of contacts is fixed, which repeatable runs need: for each thing its contacts with the
 //! instruments and, if it is awake, with the ground, hard before soft; then each instrument's with
-//! the ground. Contacts are looked for beyond touch by the way that both sides may go in two
-//! milliseconds, and a contact whose gap does not close gets no force.
+//! the ground. Contacts are looked for within 0.3 mm plus the distance that both sides travel in 2
+//! ms; a contact whose gap does not close gets no force.
 
 use nalgebra::Vector3;
 use rapier3d_f64::math::Pose as EnginePose;
@@ -101,8 +101,7 @@ impl Stage {
 
     /// Contacts of a thing and the ground.
     ///
-    /// Things meet soft ground with the balls of those of their pieces that are for the ground
-    /// alone.
+    /// Only the thing's pieces with [`CollisionMask::Ground`] meet soft ground, each as a ball.
     fn meet_ground(&mut self, index: usize) {
         let thing = &self.things[index];
         let pose = thing.moving.pose;
@@ -137,8 +136,8 @@ impl Stage {
 
     /// Contacts of an instrument and the ground.
     ///
-    /// Of the soft ground instruments have sample points: bare for fingers, balls of the wrist's
-    /// radius for the wrist.
+    /// Sample points of each part meet soft ground: bare points of the fingers, balls of the
+    /// wrist's radius along the wrist.
     fn press_ground(&mut self, arm: usize, poses: &PartPoses, reach_m: f64) {
         for (part, pose) in poses.iter().enumerate() {
             let sides = [Side::Ground, Side::Part { arm, part }];
@@ -170,7 +169,7 @@ impl Stage {
     }
 }
 
-/// One without memory.
+/// A contact without memory: friction aims at rest.
 fn contact(sides: [Side; 2], found: &Found, surface: &Surface) -> Contact {
     Contact {
         sides,

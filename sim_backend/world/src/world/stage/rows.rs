@@ -15,8 +15,8 @@ impl Stage {
     /// The contacts with their Jacobians, which hold for the whole step.
     ///
     /// Sides that are not solved for (arms not in `coupled`, things not in `awake`) get no columns,
-    /// as ground. The mobility of a row is the mean over both tangents of the inverse mass that a
-    /// push there meets, 1/kg.
+    /// as ground. The mobility of a contact is the inverse effective mass of both sides along a
+    /// tangent, the mean of the two, 1/kg.
     pub(super) fn make_rows(
         &mut self,
         arms: &[ArmUnit],
