@@ -103,7 +103,7 @@ impl Trainer {
 
     /// Kernels of our own for the backbone, where there are some.
     ///
-    /// None for another device or precision, and where they can't be compiled, which `watch` hears
+    /// None for another device or precision, and where they can't be compiled, which `watch` gets
     /// as [`Progress::Slower`].
     fn kernels(&self, options: &TrainOptions, watch: &mut dyn TrainingObserver) -> Option<Kernels> {
         if !self.device.is_cuda() || options.precision != TrainPrecision::Bf16 {

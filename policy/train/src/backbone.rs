@@ -25,8 +25,7 @@ impl Trainer {
 
     /// The network before its first step; of a run that goes on, with that run's statistics, which
     /// it takes in while it is built. `images` gives `(n, cameras, 3, height, width)`, normalised,
-    /// on the CPU. `images` is called only where statistics are to be measured, since it decodes
-    /// frames.
+    /// on the CPU; it is called only where statistics are to be measured.
     pub(super) fn fresh(
         &self,
         config: &ActConfig,

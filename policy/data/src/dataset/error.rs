@@ -1,6 +1,6 @@
 //! What can be wrong with a dataset, named by file.
 //!
-//! Text of a source error is not repeated in the message: who prints it walks the chain. Nothing
+//! A message does not repeat the text of its source error: a caller prints the whole chain. Nothing
 //! here is on a real-time path; strings are owned.
 
 use std::{io, path::PathBuf};

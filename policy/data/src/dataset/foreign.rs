@@ -379,7 +379,7 @@ fn short(table: &Table, name: &str, found: usize, expected: usize) -> DatasetErr
 
 /// Decodes PNG or JPEG whose header may lie.
 ///
-/// The format is told by the first bytes. Sides beyond [`SIDE_MAX`] are refused before anything is
+/// The first bytes give the format. Sides beyond [`SIDE_MAX`] are refused before anything is
 /// allocated for them.
 pub(crate) fn decode(bytes: &[u8]) -> Result<RgbImage, image::ImageError> {
     let mut limits = Limits::default();

@@ -1,7 +1,7 @@
 //! The frames of one camera in one episode, a few at a time.
 //!
-//! Frames of one chunk are unpacked together, and frames are asked for in order, so that each chunk
-//! is unpacked once. Memory is one window of at most `READ_MAX` bytes a camera.
+//! Frames of one chunk are unpacked together, and callers ask in order, so each chunk is unpacked
+//! once, unless it is larger than a window. A camera's window is of at most `READ_MAX` bytes.
 
 use std::io::Cursor;
 

@@ -4,7 +4,7 @@
 /// Depth of one unit, m. A depth is rounded to the nearest, so by 10 micrometres at most.
 pub const DEPTH_UNIT_M: f64 = 2e-5;
 
-/// The greatest depth that can be told, m; what is farther away has none. About 1.31 m: an
+/// The greatest depth that can be stored, m; what is farther away has none. About 1.31 m: an
 /// endoscope sees a few decimetres.
 pub const DEPTH_MAX_M: f64 = DEPTH_UNIT_M * u16::MAX as f64;
 

@@ -28,8 +28,8 @@ pub(super) trait Stored: Copy + Sync {
 
 /// For each panel of outputs, for each row: a number for each output, zeros where there is none.
 ///
-/// Networks stored in half precision fit `F16`, those trained in bfloat16 `Bf16`: half the memory
-/// to read for the same bits.
+/// Weights that were stored in half precision fit `F16`, those rounded to bfloat16 fit `Bf16`: half
+/// the memory to read for the same numbers.
 #[derive(Debug)]
 pub(super) enum Weights {
     F16(Vec<F16>),
