@@ -20,7 +20,8 @@ pub enum OperatingState {
     Enabled,
     /// The arm comes to rest and holds; chunks are ignored.
     Paused,
-    /// Something failed; the arm came to rest and only the operator gets it out of here.
+    /// Something failed; the arm comes to rest, and only the operator's clear leads out of this
+    /// state.
     Fault,
 }
 

@@ -44,7 +44,7 @@ pub struct TickReport {
     pub qp: QpOutcome,
     /// Rows of the filter that the filtered velocity touches.
     pub rows_active: u32,
-    /// Length of the filter's change, joint velocities measured in their limits.
+    /// Length of the filter's change, each axis in units of its velocity limit, the jaw included.
     pub correction: f64,
     /// Whether the guard refused the candidate and played its verified stop.
     pub guard_intervened: bool,

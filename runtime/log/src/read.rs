@@ -25,7 +25,7 @@ pub struct RunLog {
     /// What was written; `None` if the file was cut.
     pub counts: Option<LogCounts>,
     /// Hash over everything that the controller was given, taken while it ran; `None` if the file
-    /// was cut.
+    /// was cut or the run goes on in another.
     pub input_hash: Option<u64>,
     /// Where the logger had to leave something out; empty if nothing is missing.
     pub losses: Vec<Loss>,

@@ -50,7 +50,7 @@ pub struct LogEnd {
     /// none then.
     pub unknown_mark: Option<String>,
     /// Hash over everything that the controller was given, taken while it ran; `None` if the file
-    /// was cut.
+    /// was cut or the run goes on in another.
     pub input_hash: Option<u64>,
     /// Ticks that the logger dropped after the last one that it wrote.
     pub dropped_at_end: u64,

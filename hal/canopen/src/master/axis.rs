@@ -17,7 +17,7 @@ pub(super) struct Feedback {
     pub(super) torque: i16,
 }
 
-/// A cycle whose answer is not in time weighs as much as so many that are.
+/// A cycle whose answer is not in time weighs as much as this many whose answers are.
 const MISS_WEIGHT: u32 = 3;
 
 /// Why an answer was not taken.
@@ -274,8 +274,8 @@ impl Axis {
         self.silent
     }
 
-    /// How many cycles in a row without an answer in time would weigh as much as those that there
-    /// were, less those with one: it grows while these are fewer than three in four.
+    /// Cycles without an answer in time, less a third of those with one, never below 0: it grows
+    /// while fewer than three in four answers are in time.
     pub(super) const fn unsteady_cycles(&self) -> u32 {
         self.unsteadiness / MISS_WEIGHT
     }

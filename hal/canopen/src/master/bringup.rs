@@ -118,8 +118,8 @@ impl<B: Bus> Offline<B> {
     /// Listens for another master, then resets every node of the plan and waits for it to boot up.
     ///
     /// # Errors
-    /// [`BringUpError`]; a node that is missing is named, and so is what another master said. He is
-    /// listened for in all that follows, too.
+    /// [`BringUpError`]; a node that is missing is named, and so is what another master said, which
+    /// is listened for in all that follows, too.
     pub fn scan(mut self) -> Result<Scanned<B>, BringUpError> {
         let plan = self.plan;
         let before = self.bus.catch_up();

@@ -16,12 +16,11 @@ use crate::number::seconds;
 use hal::TimeNs;
 use hal::tail::TAIL_AXES;
 
-/// Cycles by which an answer may lie back from which on the measurement counts as lost.
+/// Age of the newest answer, cycles, from which on the measurement counts as lost.
 pub const LOST_AFTER: u32 = 3;
 /// Cycles in a row without an answer that are a fault.
 pub const SILENT_AFTER: u32 = 20;
-/// Cycles without an answer in time that are a fault even if each is made up for by less than three
-/// that are.
+/// Cycles without an answer in time, less a third of those with one, that are a fault.
 pub const UNSTEADY_AFTER: u32 = 30;
 /// Cycles in a row without room to send from which on the arm counts as lost.
 pub const UNSENT_LOST_AFTER: u32 = 2;
@@ -93,7 +92,7 @@ pub struct Cycle {
     /// SYNCs left out so far.
     left_out: u64,
     heartbeat: Option<TimeNs>,
-    /// Whether the newest SYNC goes with a heartbeat.
+    /// Whether our heartbeat goes out in the newest period.
     alive: bool,
 }
 

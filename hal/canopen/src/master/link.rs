@@ -19,9 +19,9 @@ pub enum ControllerEvent {
     BusOff,
     /// It was off the bus and is back.
     Restarted,
-    /// It counts many errors and no longer says so on the bus.
+    /// Error passive: it counts many errors, and no longer destroys frames in which it finds one.
     ErrorPassive,
-    /// It counts few errors again.
+    /// Error active again: it counts few errors.
     ErrorActive,
     /// Frames were lost on their way from the bus to us, this many.
     Lost(u32),

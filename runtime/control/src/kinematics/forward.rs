@@ -32,7 +32,7 @@ pub struct Frames {
     pub wrist_m: Vector3<f64>,
     /// The control point on the wrist-yaw axis, m.
     pub tip_m: Vector3<f64>,
-    /// Between the finger tips when the jaw is closed, m.
+    /// Where the finger tips are when the jaw is closed, m.
     pub finger_m: Vector3<f64>,
 }
 

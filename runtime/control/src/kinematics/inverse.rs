@@ -20,7 +20,7 @@ const LIMIT_TOLERANCE: f64 = 1e-9;
 pub enum IkError {
     /// The pose holds NaN or infinity.
     NotFinite,
-    /// The tip or the wrist is at the remote centre.
+    /// The wrist-yaw axis passes through the remote centre, or the wrist is there.
     AtRemoteCentre {
         /// Distance that was too short, m.
         distance_m: f64,

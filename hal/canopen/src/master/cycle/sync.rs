@@ -1,5 +1,5 @@
-//! The begin of a period: SYNC, heartbeat, NMT stop, and what of it was handed to the buses. Hot
-//! path: bounded, no allocation, no I/O, no lock.
+//! The beginning of a period: SYNC, heartbeat, NMT stop, and what of it was handed to the buses.
+//! Hot path: bounded, no allocation, no I/O, no lock.
 
 use super::{Axis, Cycle, SILENT_AFTER};
 use crate::cia301::nmt::NmtView;
