@@ -269,8 +269,8 @@ fn setup(dataset: &Dataset) -> Option<Setup> {
     (setup.robot.control.arms.len() == dataset.arms()).then_some(setup)
 }
 
-/// Between which values an axis is in all frames, and 1 rad/s or m/s: what is known of arms without
-/// limits.
+/// Between which values an axis is in all frames, widened by `ROOM`, and 1 rad/s or m/s: what is
+/// shown of arms whose limits are not known.
 fn range(dataset: &Dataset, axis: usize) -> AxisRange {
     let frames = 0..dataset.len();
     let arms = 0..dataset.arms();

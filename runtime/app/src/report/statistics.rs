@@ -57,8 +57,8 @@ impl Pairs {
         }
     }
 
-    /// McNemar's exact test, two-sided: how probable a difference like this is if both succeed
-    /// equally often.
+    /// McNemar's exact test, two-sided: how probable a difference at least as large as this is if
+    /// both succeed equally often.
     ///
     /// Twice the tail of the binomial distribution of the discordant pairs, at most 1.
     #[must_use]

@@ -419,7 +419,7 @@ pub(super) fn sized_cameras(recipe: &Recipe) -> Vec<SizedCamera> {
     camera_names(recipe).into_iter().zip(sizes).collect()
 }
 
-/// A straight stretch to a random place within 4 cm of `home`, the jaw anywhere.
+/// A straight stretch to a random place, up to 4 cm from `home` along each axis, the jaw anywhere.
 fn wander(now: TimeNs, sequence: u64, home: &TipTarget, rng: &mut Rng) -> Chunk {
     const STEPS: u32 = 15;
     const REACH_M: f64 = 0.04;

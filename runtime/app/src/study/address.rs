@@ -1,4 +1,4 @@
-//! Addresses: the SHA-256 of everything that makes a cell.
+//! Addresses: the first 80 bits of the SHA-256 of everything that makes a cell.
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};

@@ -100,7 +100,7 @@ impl<'a> Grid<'a> {
         usize::try_from((halves + second) / (2 * second)).unwrap_or(usize::MAX)
     }
 
-    /// How far `at` is behind the grid's `point`, in steps of 1e-9.
+    /// How far `at` is behind the grid's `point`, in billionths of a step.
     fn off(&self, start: TimeNs, at: TimeNs, point: usize) -> i128 {
         let since = i128::from(at.since(start)) * i128::from(self.fps);
         since - point as i128 * i128::from(SECOND_NS)

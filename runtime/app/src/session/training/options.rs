@@ -93,8 +93,8 @@ pub struct TrainingOptions {
     pub out: PathBuf,
     /// Which cameras the network sees.
     pub cameras: CameraChoice,
-    /// Sizes and recipe: `small`, `paper` or `lerobot`; of DP3, `paper` or `simple`; of ACT-PC,
-    /// `small`, `paper` or `pcm`.
+    /// Sizes and recipe: of ACT, `small`, `compact`, `paper` or `lerobot`; of DP3, `paper` or
+    /// `simple`; of ACT-PC, `small`, `paper` or `pcm`.
     pub preset: String,
     /// Whether the recipe is the authors' own, which begins from an ImageNet backbone, instead of
     /// one that learns from scratch.
