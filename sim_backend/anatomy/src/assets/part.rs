@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 
 /// Most groups of a patient.
 ///
-/// More than the 31 groups of our own patients; it bounds what another program's file may ask for.
+/// Our own patients have at most 31; it bounds what another program's file may ask for.
 pub(super) const PARTS_MAX: usize = 64;
 
 /// How far from the scan's origin a vertex may be, m.

@@ -137,7 +137,7 @@ impl Stage {
     /// Contacts of an instrument and the ground.
     ///
     /// Sample points of each part meet soft ground: bare points of the fingers, balls of the
-    /// wrist's radius along the wrist.
+    /// wrist's radius at both its ends.
     fn press_ground(&mut self, arm: usize, poses: &PartPoses, reach_m: f64) {
         for (part, pose) in poses.iter().enumerate() {
             let sides = [Side::Ground, Side::Part { arm, part }];
