@@ -6,10 +6,11 @@
 //! the potentials solve a Laplace equation on the graph of groups, weighted by the areas of their
 //! common surfaces.
 //!
-//! With `A_ab` the area between groups a and b, the change of a's volume is `sum over b of A_ab
-//! (p_a - p_b)` to first order, which is the Laplacian of that graph applied to `p`. The background
-//! has `p` = 0 and loses what all groups together gain. Smoothing and decimation each end with it.
-//! Surfaces that cross are not looked for here: `hold` and the caller prevent them.
+//! With `A_ab` the area between groups a and b, the change of a's volume is
+//! `sum over b of A_ab (p_a - p_b)` to first order, which is the Laplacian of that graph applied to
+//! `p`. The background has `p` = 0 and loses what all groups together gain. Smoothing and
+//! decimation each end with it. Surfaces that cross are not looked for here: `hold` and the caller
+//! prevent them.
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 

@@ -4,10 +4,10 @@
 //! A vertex between two groups moves with all its neighbours, one on a line where three meet with
 //! those along that line, so that such lines become smooth and stay what they are.
 //!
-//! A step moves vertex `i` by `step * (mean of its neighbours - p_i)`. A pair of steps multiplies a
-//! component whose eigenvalue of this umbrella operator is `-k` (`k` in 0 to 2) by `(1 - 0.5 k) (1
-//! + 0.53 k)`: about 1 below the pass-band frequency `1 / 0.5 - 1 / 0.53` = 0.113, so the shape
-//! stays, and 0 at `k` = 2, so the stairs of voxels go (G. Taubin, SIGGRAPH 1995).
+//! A step moves vertex `i` by `step * (mean of its neighbours - p_i)`. Of a component whose
+//! eigenvalue of this umbrella operator is `-k` (`k` in 0 to 2) a pair of steps leaves
+//! `(1 - 0.5 k) (1 + 0.53 k)`: about 1 below the pass-band frequency `1 / 0.5 - 1 / 0.53` = 0.113,
+//! so the shape stays, and 0 at `k` = 2, so the stairs of voxels go (G. Taubin, SIGGRAPH 1995).
 //!
 //! All is in voxel coordinates: voxels of 1 x 1 x 5 mm are smoothed five times as far along z.
 //! Volumes change a little all the same; `balance` puts them right.
