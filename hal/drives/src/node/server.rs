@@ -53,13 +53,13 @@ pub(super) enum Transfer {
 impl Node {
     /// An SDO request for this node. One transfer at a time; a new one ends the last.
     ///
-    /// A request of fewer bytes than hold an address has no answer.
+    /// A request of another length than eight bytes has no answer.
     pub(super) fn on_sdo(&mut self, now: TimeNs, data: &[u8], out: &mut Outbox) {
         let view = SdoView(data);
         let answer = match Request::parse(data) {
             Ok(request) => self.answer(now, request, out),
             Err(_) => match view.address() {
-                // Too short to answer.
+                // Not of eight bytes: there is no address to answer with.
                 Err(_) => return,
                 Ok(address) => {
                     self.transfer = Transfer::Idle;
