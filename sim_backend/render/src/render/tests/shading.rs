@@ -185,7 +185,7 @@ fn half_lit(shading: Shading, height_m: f64) -> usize {
 }
 
 #[test]
-fn the_edge_of_a_fine_shadow_is_as_wide_as_its_caster_is_high() {
+fn a_fine_shadow_of_a_higher_caster_has_a_wider_edge() {
     let [low, high] = [0.004, 0.03].map(|height_m| {
         let [full, fine] =
             [Shading::Full, Shading::Fine].map(|shading| half_lit(shading, height_m));
