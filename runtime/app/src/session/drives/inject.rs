@@ -283,14 +283,15 @@ impl Injector {
 /// The bit of 1001h that goes with a drive's own error.
 ///
 /// Error codes of CiA 301 have their class in the first digit: 2xxxh is current, 3xxxh voltage,
-/// 4xxxh temperature, 8xxxh monitoring, which sets the device profile's bit, also for errors of
-/// communication (81xxh). The generic bit alone stands for all others.
+/// 4xxxh temperature, 81xxh communication, the rest of 8xxxh monitoring, which sets the device
+/// profile's bit. The generic bit alone stands for all others.
 const fn register_of(code: ErrorCode) -> u8 {
-    match code.0 >> 12 {
-        0x2 => register::CURRENT,
-        0x3 => register::VOLTAGE,
-        0x4 => register::TEMPERATURE,
-        0x8 => register::PROFILE,
+    match (code.0 >> 12, code.0 >> 8) {
+        (0x2, _) => register::CURRENT,
+        (0x3, _) => register::VOLTAGE,
+        (0x4, _) => register::TEMPERATURE,
+        (_, 0x81) => register::COMMUNICATION,
+        (0x8, _) => register::PROFILE,
         _ => register::GENERIC,
     }
 }
