@@ -9,7 +9,12 @@ use serde::Deserialize;
 use trocar_render::Shading;
 use trocar_world::{ArmStart, Scenery, WorldConfig};
 
-use super::{CameraConfig, Kind, TaskConfig, TaskScene, View, laying};
+use super::{
+    CameraConfig, Kind, Monitor, MonitorInput, Outcome, TaskConfig, TaskScene, View, laying,
+};
+
+/// For how long a scene is watched before an arm moves, ms.
+const STILL_STEPS: u32 = 100;
 
 /// `[task]`.
 #[derive(Clone, Deserialize)]
@@ -125,6 +130,21 @@ impl Common {
         }
         let reason = "its needle slides off; a smaller one may lie";
         Err(source.refused("scene.organ", organ, reason))
+    }
+
+    /// How an episode of `scenery` ends by `monitor` in its first [`STILL_STEPS`], in which no arm
+    /// moves; none if it goes on, as it should.
+    pub(super) fn ends_at_once(
+        &self,
+        scenery: &Scenery,
+        monitor: &mut dyn Monitor,
+    ) -> Option<Outcome> {
+        let mut world = laying::after_settling(&self.world, &self.arms, scenery);
+        (0..STILL_STEPS).find_map(|_| {
+            world.step();
+            let outcome = monitor.observe(&MonitorInput::of(&world));
+            (outcome != Outcome::Running).then_some(outcome)
+        })
     }
 
     /// The task of the given `name` and `kind`.

@@ -64,7 +64,7 @@ fn laid(
 }
 
 /// The world of `scenery` when [`SETTLE_STEPS`] have passed without a command to any arm.
-fn after_settling(config: &WorldConfig, arms: &[ArmStart], scenery: &Scenery) -> World {
+pub(super) fn after_settling(config: &WorldConfig, arms: &[ArmStart], scenery: &Scenery) -> World {
     let mut world = World::new(config, scenery, arms);
     for _ in 0..SETTLE_STEPS {
         world.step();

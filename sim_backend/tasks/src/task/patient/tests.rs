@@ -448,3 +448,21 @@ fn a_flap_that_does_not_lie_on_the_liver_is_refused() {
         "{refused}"
     );
 }
+
+/// Small bowel is all folds: on the flattest place of this one a flap is flung off before an arm
+/// moves.
+#[test]
+fn a_flap_is_laid_where_it_stays_or_refused() {
+    let folder = Folder::with_phantom("bowel", 3);
+    let scene = folder.scene("tissue-retraction", "small-bowel");
+    match TaskConfig::parse("tissue-retraction", &scene) {
+        Ok(task) => {
+            let episode = closed_loop::run(&task, 1000, |_, _| {});
+            assert!(episode.seconds > 0.5, "{:?}", episode.outcome);
+        }
+        Err(refused) => {
+            let refused = refused.to_string();
+            assert!(refused.contains("does not come to rest"), "{refused}");
+        }
+    }
+}

@@ -30,7 +30,7 @@ use success::SuccessMonitor;
 use super::common::{ArmFile, CommonFile, EpisodeFile, RenderingFile, TitleFile};
 use super::patient::{self, Incision, Patient, SceneFile, Site, WIDE};
 use super::visuals::{LIVER, MUSCLE};
-use super::{CameraConfig, Kind, Monitor, Parsed, TaskScene};
+use super::{CameraConfig, Kind, Monitor, Outcome, Parsed, TaskScene};
 use crate::script::AnyScript;
 use crate::script::alone::Alone;
 
@@ -133,7 +133,10 @@ fn parse(source: &Source) -> Result<Parsed, ConfigError> {
     let patient = file.scene.as_ref().map(|scene| {
         let site = site(&file.liver, &file.tissue);
         Ok(Arc::new(scene.load(source, &site, |organ| {
-            check_lies(source, &file.tissue, organ)
+            check_lies(source, &file.tissue, organ)?;
+            check_rests(source, &file.tissue, organ, |scenery| {
+                common.ends_at_once(scenery, &mut SuccessMonitor::new(&file.success))
+            })
         })?))
     });
     let scene = TissueRetraction {
@@ -161,6 +164,35 @@ fn check_lies(source: &Source, tissue: &TissueConfig, organ: &Organ) -> Result<(
     let [percent, most] = [stretch, REST_STRETCH_MAX].map(|stretch| 1e2 * stretch);
     let reason = format!(
         "a flap of {length_mm:.0} mm x {depth_mm:.0} mm would be stretched by {percent:.0} % on the flattest place of the organ and elsewhere by more than {most:.0} % too"
+    );
+    let at = format!("{:?}", tissue.edge_m);
+    Err(source.refused("tissue.edge_m", &at, &reason))
+}
+
+/// Checks that an episode of the flap on `organ` does not end, by `end`, before an arm moves: on an
+/// organ of many folds a flap that is hardly stretched may still be flung off.
+fn check_rests(
+    source: &Source,
+    tissue: &TissueConfig,
+    organ: &Organ,
+    end: impl FnOnce(&Scenery) -> Option<Outcome>,
+) -> Result<(), ConfigError> {
+    let Organ::Measured(ground) = organ else {
+        return Ok(());
+    };
+    let scenery = Scenery {
+        things: Vec::new(),
+        ground: Ground::Bed((**ground).clone()),
+        flap: Some(Flap {
+            config: tissue.clone(),
+            seed: 0,
+        }),
+    };
+    let Some(outcome) = end(&scenery) else {
+        return Ok(());
+    };
+    let reason = format!(
+        "the flap does not come to rest on the flattest place of the organ ({outcome}), nor elsewhere"
     );
     let at = format!("{:?}", tissue.edge_m);
     Err(source.refused("tissue.edge_m", &at, &reason))
