@@ -14,7 +14,7 @@ use super::{
 };
 
 /// For how long a scene is watched before an arm moves, ms.
-const STILL_STEPS: u32 = 100;
+const STILL_STEPS: u32 = 500;
 
 /// `[task]`.
 #[derive(Clone, Deserialize)]

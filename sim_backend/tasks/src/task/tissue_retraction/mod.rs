@@ -163,7 +163,7 @@ fn check_lies(source: &Source, tissue: &TissueConfig, organ: &Organ) -> Result<(
     let [length_mm, depth_mm] = [tissue.length_m, tissue.depth_m].map(|size_m| 1e3 * size_m);
     let [percent, most] = [stretch, REST_STRETCH_MAX].map(|stretch| 1e2 * stretch);
     let reason = format!(
-        "a flap of {length_mm:.0} mm x {depth_mm:.0} mm would be stretched by {percent:.0} % on the flattest place of the organ and elsewhere by more than {most:.0} % too"
+        "a flap of {length_mm:.0} mm x {depth_mm:.0} mm would be stretched by {percent:.0} % on the flattest place of the organ ({most:.0} % at most), and does not lie elsewhere"
     );
     let at = format!("{:?}", tissue.edge_m);
     Err(source.refused("tissue.edge_m", &at, &reason))
@@ -192,7 +192,7 @@ fn check_rests(
         return Ok(());
     };
     let reason = format!(
-        "the flap does not come to rest on the flattest place of the organ ({outcome}), nor elsewhere"
+        "the flap does not come to rest on the flattest place of the organ ({outcome}), and does not lie elsewhere"
     );
     let at = format!("{:?}", tissue.edge_m);
     Err(source.refused("tissue.edge_m", &at, &reason))
