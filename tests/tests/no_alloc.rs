@@ -1,5 +1,4 @@
-//! The tick takes no memory from the system allocator, whatever happens in it; nor does the CAN
-//! arm's cycle.
+//! The tick does not allocate, whatever happens in it; nor does the CAN arm's cycle.
 
 #[path = "no_alloc/can.rs"]
 mod can;

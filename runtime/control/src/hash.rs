@@ -2,8 +2,8 @@
 //! no I/O, no lock.
 //!
 //! Numbers go in by their bits, so `0.0` and `-0.0` differ, and two NaN are the same only with the
-//! same payload. Each word is taken in from its lowest byte on. The hash tells runs apart; it is no
-//! protection against somebody who wants a collision.
+//! same payload. Each word is taken in from its lowest byte on. The hash tells runs apart; it is not
+//! collision-resistant.
 
 use hal::{ArmCommand, ArmError, ArmState, Chunk, TimeNs};
 

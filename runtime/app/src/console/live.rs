@@ -1,6 +1,6 @@
 //! A run in real time as pages see it. The control thread writes mailboxes and a queue (`tap`);
-//! whoever asks for a state here takes the newest. Nothing is computed until somebody asks, and
-//! asking delays no tick.
+//! whoever asks for a state here takes the newest. States are computed on demand, and that delays
+//! no tick.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -44,12 +44,8 @@ pub(super) fn screen(frame: &mut Frame<'_>, screen: &Screen) {
             above,
         );
     }
-    let tone = if screen.answer.contains(": error: ") {
-        BAD
-    } else {
-        HEAD
-    };
-    frame.render_widget(Line::styled(screen.answer.as_str(), tone), answer);
+    let tone = if screen.answer.refused { BAD } else { HEAD };
+    frame.render_widget(Line::styled(screen.answer.text.as_str(), tone), answer);
     frame.render_widget(key_line(screen.note().is_some()), keys);
 }
 
@@ -255,35 +251,24 @@ fn rows_line(state: &State) -> Line<'_> {
 /// The keys and what they do; `monitor`'s `wish` is what they really do. Where the run takes a mark,
 /// the marks stand in place of `enable` and `clear`: such a run refuses both.
 fn key_line(takes_mark: bool) -> Line<'static> {
-    const WITH_MARKS: [(&str, &str); 9] = [
-        ("p", "pause"),
-        ("r", "resume"),
+    const FIRST: [(&str, &str); 2] = [("p", "pause"), ("r", "resume")];
+    const STATES: [(&str, &str); 3] = [("e", "enable"), ("d", "disable"), ("c", "clear")];
+    const MARKS: [(&str, &str); 4] = [
         ("d", "disable"),
         ("y", "success"),
         ("z", "failure"),
         ("x", "discard"),
+    ];
+    const LAST: [(&str, &str); 3] = [
         ("-+", "speed"),
         ("q", "quit"),
         ("s", "stop (no emergency stop)"),
     ];
-    const KEYS: [(&str, &str); 8] = [
-        ("p", "pause"),
-        ("r", "resume"),
-        ("e", "enable"),
-        ("d", "disable"),
-        ("c", "clear"),
-        ("-+", "speed"),
-        ("q", "quit"),
-        ("s", "stop (no emergency stop)"),
-    ];
-    let keys = if takes_mark {
-        &WITH_MARKS[..]
-    } else {
-        &KEYS[..]
-    };
+    let between = if takes_mark { &MARKS[..] } else { &STATES };
+    let keys = FIRST.iter().chain(between).chain(&LAST);
     let key = |&(key, does): &(&'static str, &'static str)| {
         let key = Span::styled(key, Style::new().add_modifier(Modifier::REVERSED));
         [key, Span::raw(format!(" {does} "))]
     };
-    Line::from_iter(keys.iter().flat_map(key))
+    Line::from_iter(keys.flat_map(key))
 }

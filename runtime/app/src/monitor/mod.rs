@@ -38,7 +38,15 @@ struct Screen {
     state: Option<State>,
     buses: Buses,
     /// The last key's command, and what the run answered.
-    answer: String,
+    answer: Answer,
+}
+
+/// What a run answered to a command.
+#[derive(Debug, Default)]
+struct Answer {
+    /// The command, then the answer in the run's own words.
+    text: String,
+    refused: bool,
 }
 
 impl Screen {
@@ -76,7 +84,7 @@ pub fn monitor(run: Option<&str>) -> Result<(), SessionError> {
         facts,
         state: None,
         buses: Buses::find(),
-        answer: String::new(),
+        answer: Answer::default(),
     };
     // A signal ends it with the terminal as it was.
     rt::catch_interrupts().map_err(failed)?;
@@ -134,11 +142,14 @@ fn is_end(error: &io::Error) -> bool {
     matches!(error.kind(), BrokenPipe | ConnectionReset | UnexpectedEof)
 }
 
-/// `COMMAND: ANSWER`, in the run's own words; an error of the socket is an answer too.
-fn said(client: &QueryClient, command: &Command) -> String {
+/// An error of the socket is an answer too.
+fn said(client: &QueryClient, command: &Command) -> Answer {
     let answer = client.say(command);
     let answer = answer.unwrap_or_else(|error| format!("error: {error}"));
-    format!("{command}: {answer}")
+    Answer {
+        text: format!("{command}: {answer}"),
+        refused: answer.starts_with("error: "),
+    }
 }
 
 /// What `key` asks for, of a run whose speed limits are at `percent` and whose mark is `mark`. Keys

@@ -79,7 +79,10 @@ fn screen_of(state: Option<Value>) -> Screen {
             "can0",
             &[(0, 0), (500, 4000), (1500, 12_000)],
         )]),
-        answer: "pause: ok; 12.30 s; psm1 PAUSED homed".to_owned(),
+        answer: Answer {
+            text: "pause: ok; 12.30 s; psm1 PAUSED homed".to_owned(),
+            refused: false,
+        },
     }
 }
 

@@ -20,7 +20,7 @@ use hal::config::{ConfigError, Source};
 use serde::Deserialize;
 use trocar_render::visual::{Backdrop, Material, Pattern, Visual, instance};
 use trocar_world::organ::Organ;
-use trocar_world::tissue::{NODES_MAX, Patch, RetractionConfig, Tissue, TissueConfig};
+use trocar_world::tissue::{self, NODES_MAX, Patch, RetractionConfig, Tissue, TissueConfig};
 use trocar_world::{ArmStart, Flap, Ground, Scenery, WorldConfig};
 
 pub use liver::LiverShape;
@@ -180,15 +180,7 @@ fn check_rests(
     let Organ::Measured(ground) = organ else {
         return Ok(());
     };
-    let scenery = Scenery {
-        things: Vec::new(),
-        ground: Ground::Bed((**ground).clone()),
-        flap: Some(Flap {
-            config: tissue.clone(),
-            seed: 0,
-        }),
-    };
-    let Some(outcome) = end(&scenery) else {
+    let Some(outcome) = end(&flap_on((**ground).clone(), tissue, 0)) else {
         return Ok(());
     };
     let reason = format!(
@@ -196,6 +188,18 @@ fn check_rests(
     );
     let at = format!("{:?}", tissue.edge_m);
     Err(source.refused("tissue.edge_m", &at, &reason))
+}
+
+/// A flap alone on `ground`, with the mark of the episode `seed`.
+fn flap_on(ground: tissue::Ground, tissue: &TissueConfig, seed: u64) -> Scenery {
+    Scenery {
+        things: Vec::new(),
+        ground: Ground::Bed(ground),
+        flap: Some(Flap {
+            config: tissue.clone(),
+            seed,
+        }),
+    }
 }
 
 /// What the scene needs of a patient's organ: what the plateau covers and the way to it, cut away
@@ -216,17 +220,11 @@ fn site(liver: &LiverShape, tissue: &TissueConfig) -> Site {
 
 impl TaskScene for TissueRetraction {
     fn scenery(&self, seed: u64) -> Scenery {
-        Scenery {
-            things: Vec::new(),
-            ground: Ground::Bed(match &self.patient {
-                Some(patient) => (*patient.organ).clone(),
-                None => self.liver.ground(),
-            }),
-            flap: Some(Flap {
-                config: self.tissue.clone(),
-                seed,
-            }),
-        }
+        let ground = match &self.patient {
+            Some(patient) => (*patient.organ).clone(),
+            None => self.liver.ground(),
+        };
+        flap_on(ground, &self.tissue, seed)
     }
 
     fn goal(&self, _seed: u64) -> Option<Pose> {
