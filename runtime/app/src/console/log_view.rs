@@ -580,8 +580,19 @@ mod tests {
     /// A log of that kind at `path`, of 400 ticks, that is not finished.
     fn bare(folder: &Scratch, path: &Path) -> Bare {
         let plan = logged(folder);
+        let mut bare = Bare(recorder(&plan, path));
+        run_ticks(&plan, &mut bare);
+        bare
+    }
+
+    /// A log at `path` with the header of that of `plan`.
+    fn recorder(plan: &Plan, path: &Path) -> Recorder {
         let header = RunLog::open(plan.log.as_deref().unwrap()).unwrap().header;
-        let mut bare = Bare(Recorder::create(path, &header, Pressure::Block).unwrap());
+        Recorder::create(path, &header, Pressure::Block).unwrap()
+    }
+
+    /// Runs the first 400 ticks of `plan` before `observer`.
+    fn run_ticks(plan: &Plan, observer: &mut dyn EpisodeObserver) {
         let task = &plan.setup.task;
         let source = plan.setup.source(&plan.policy, plan.seed, plan.compute);
         let episode = Episode {
@@ -593,8 +604,69 @@ mod tests {
             latency: Latency::fixed(40),
             tick_limit: 400,
         };
-        episode.run(&timing, &mut bare).unwrap();
-        bare
+        episode.run(&timing, observer).unwrap();
+    }
+
+    /// The same as [`Bare`] of a run that begins at tick 1000 and whose ticks go back to 200 after
+    /// 1199. Chunks are observed as if they went on.
+    struct GoesBack(Bare);
+
+    impl GoesBack {
+        const AHEAD_TICKS: u64 = 1000;
+    }
+
+    impl EpisodeObserver for GoesBack {
+        fn chunk(&mut self, arm: usize, chunk: &Chunk) {
+            let observed_at = chunk.observed_at.plus_ns(Self::AHEAD_TICKS * TICK_NS);
+            let chunk = Chunk {
+                observed_at,
+                ..*chunk
+            };
+            self.0.chunk(arm, &chunk);
+        }
+
+        fn tick(&mut self, record: &TickRecord) {
+            let is_before = record.tick < 200;
+            let tick = record.tick + if is_before { Self::AHEAD_TICKS } else { 0 };
+            self.0.tick(&TickRecord {
+                tick,
+                now: TimeNs::from_tick(tick),
+                ..*record
+            });
+        }
+    }
+
+    /// A log whose ticks go back has no length: what comes before its first tick is at its
+    /// beginning, and no time leads out of it.
+    #[test]
+    fn a_log_whose_ticks_go_back_is_shown() {
+        let folder = Scratch::folder("log-view-back");
+        let path = folder.0.join("back.mcap");
+        let plan = logged(&folder);
+        let mut back = GoesBack(Bare(recorder(&plan, &path)));
+        run_ticks(&plan, &mut back);
+        back.0.0.finish(None).unwrap();
+
+        let view = LogView::read(&path, true).unwrap();
+        let facts: Value = serde_json::from_str(&view.facts()).unwrap();
+        assert_eq!(facts["seconds"].as_f64(), Some(0.0));
+        let mut refused = 0;
+        for event in facts["events"].as_array().unwrap() {
+            let at = event["seconds"].as_f64().unwrap();
+            assert!((0.0..0.2).contains(&at), "{event}");
+            if event["text"] == "psm1: a chunk is refused: its observation lies ahead" {
+                assert!(at <= 0.0, "{event}");
+                refused += 1;
+            }
+        }
+        assert!(refused > 0, "{facts}");
+        for at in [0.0, 0.1, 1e9, f64::INFINITY, f64::NAN] {
+            assert_eq!(view.time(at), TimeNs::from_tick(GoesBack::AHEAD_TICKS));
+            assert!(view.number(Stream::SCENE, at).is_some(), "{at}");
+        }
+        let [begin, end] = [0.0, 1e9].map(|at| state(&view, at));
+        assert_eq!(begin["seconds"].as_f64(), Some(1.0));
+        assert!(end["seconds"].as_f64().is_some_and(|at| at <= 1.2), "{end}");
     }
 
     /// Of a run in which an operator took over from its policy, the page has who drove and what the
