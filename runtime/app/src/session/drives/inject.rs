@@ -1,6 +1,6 @@
 //! Faults that are injected into emulated drives on purpose, as the command line names them.
 //!
-//! Two ways: a frame of the drive is changed on its way to the wire ([`Meddling`]), or the drive,
+//! Two ways: a frame of the drive is changed on its way to the wire ([`FrameFault`]), or the drive,
 //! its motor or the process around it is changed ([`Injector::turn`]). Times are the drives', so
 //! that a fault hits the same tick of an episode on any machine.
 
@@ -76,18 +76,18 @@ impl fmt::Display for InjectedFault {
     }
 }
 
-/// A frame of `node` that something happens to.
+/// An active fault of frames of `node`.
 ///
 /// Several may be active; the first that applies to a frame decides.
 #[derive(Clone, Copy, Debug)]
-struct Meddling {
+struct FrameFault {
     kind: FaultKind,
     node: NodeId,
     /// Of [`FaultKind::Late`]: one and a half cycles.
     delay_ns: u64,
 }
 
-impl Meddling {
+impl FrameFault {
     /// None if this frame passes as it is. Only transmit PDOs and heartbeats of the node are
     /// touched.
     fn of(&self, frame: &Frame) -> Option<Tampering> {
@@ -147,7 +147,7 @@ pub(super) struct Injector {
     faults: Vec<(InjectedFault, Stage)>,
     /// Shared with the closure that the network calls for each frame; never borrowed across a call
     /// into the network.
-    meddling: Rc<RefCell<Vec<Meddling>>>,
+    frame_faults: Rc<RefCell<Vec<FrameFault>>>,
     /// Of the first arm; [`FaultKind::Late`] delays by one and a half of it.
     cycle_ns: u64,
 }
@@ -159,19 +159,19 @@ impl Injector {
         cycle_ns: u64,
         network: &mut Network<Terminal>,
     ) -> Self {
-        let meddling = Rc::new(RefCell::new(Vec::<Meddling>::new()));
+        let frame_faults = Rc::new(RefCell::new(Vec::<FrameFault>::new()));
         if !faults.is_empty() {
-            let active = Rc::clone(&meddling);
+            let active = Rc::clone(&frame_faults);
             network.tamper(Box::new(move |_, _, frame| {
                 let active = active.borrow();
-                let what = active.iter().find_map(|meddling| meddling.of(frame));
+                let what = active.iter().find_map(|fault| fault.of(frame));
                 what.unwrap_or(Tampering::Pass)
             }));
         }
         let waiting = faults.iter().map(|fault| (fault.clone(), Stage::Waiting));
         Self {
             faults: waiting.collect(),
-            meddling,
+            frame_faults,
             cycle_ns,
         }
     }
@@ -213,7 +213,7 @@ impl Injector {
         })
     }
 
-    /// What has an effect at once has it here; the rest is put among `meddling`.
+    /// What has an effect at once has it here; the rest is put among `frame_faults`.
     fn begin(
         &self,
         fault: &InjectedFault,
@@ -241,7 +241,7 @@ impl Injector {
             | FaultKind::Late
             | FaultKind::Short
             | FaultKind::Garbage
-            | FaultKind::NoHeartbeat => self.meddling.borrow_mut().push(Meddling {
+            | FaultKind::NoHeartbeat => self.frame_faults.borrow_mut().push(FrameFault {
                 kind: fault.kind,
                 node,
                 delay_ns: self.cycle_ns * 3 / 2,
@@ -251,8 +251,8 @@ impl Injector {
         }
     }
 
-    /// Undoes power, slack and meddling. A reset, an emergency, a bus-off and a foreign SYNC are
-    /// events: there is nothing to undo.
+    /// Undoes power, slack and faults of frames. A reset, an emergency, a bus-off and a foreign SYNC
+    /// are events: there is nothing to undo.
     fn end(
         &self,
         fault: &InjectedFault,
@@ -268,7 +268,7 @@ impl Injector {
             | FaultKind::Short
             | FaultKind::Garbage
             | FaultKind::NoHeartbeat => self
-                .meddling
+                .frame_faults
                 .borrow_mut()
                 .retain(|active| (active.kind, active.node) != (fault.kind, node)),
             FaultKind::Reboot

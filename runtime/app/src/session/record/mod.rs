@@ -482,7 +482,7 @@ fn demonstrator<'a>(
         };
         source.reset(seed);
         let mut controller = setup.controller()?;
-        let mut diary = Diary {
+        let mut recorder = StepRecorder {
             cameras: setup.cameras_with(Vec::new()),
             depth: options.depth,
             frames: Vec::new(),
@@ -499,7 +499,7 @@ fn demonstrator<'a>(
             controller: &mut controller,
             source: &mut source,
         };
-        let end = match episode.run_disturbed(&timing, &mut diary, disturber.as_mut()) {
+        let end = match episode.run_disturbed(&timing, &mut recorder, disturber.as_mut()) {
             Err(SessionError::Interrupted) => return Ok(None),
             end => end?,
         };
@@ -517,14 +517,14 @@ fn demonstrator<'a>(
             note,
             reason: end.reason(),
             outcome: end.outcome,
-            steps: diary.frames.len(),
-            frames: diary.frames,
+            steps: recorder.frames.len(),
+            frames: recorder.frames,
         }))
     }
 }
 
-/// Writes down every policy step of the expert.
-struct Diary<'a> {
+/// Records every policy step of the expert.
+struct StepRecorder<'a> {
     cameras: Vec<String>,
     depth: bool,
     frames: Vec<StoredFrame>,
@@ -533,7 +533,7 @@ struct Diary<'a> {
     stop: &'a (dyn Fn() -> bool + Sync),
 }
 
-impl EpisodeObserver for Diary<'_> {
+impl EpisodeObserver for StepRecorder<'_> {
     fn cameras(&self) -> Vec<String> {
         self.cameras.clone()
     }

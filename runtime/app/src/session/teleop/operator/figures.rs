@@ -39,7 +39,7 @@ pub struct OperatorFigures {
     pub tremor_lever_m: f64,
     /// Noise of a moving hand over its speed, along and about each axis.
     pub noise: f64,
-    /// How long the noise remembers itself, s.
+    /// Correlation time of the noise, s.
     pub noise_s: f64,
     /// Error of a trigger that is held half pressed, over its whole way.
     pub trigger_noise: f64,

@@ -41,20 +41,20 @@ impl Tremor {
     }
 }
 
-/// Noise of unit variance along three axes that forgets itself.
+/// Ornstein-Uhlenbeck process of unit variance along each of three axes.
 #[derive(Clone, Debug)]
-pub(super) struct Wander {
+pub(super) struct OrnsteinUhlenbeck {
     now: Vector3<f64>,
 }
 
-impl Wander {
+impl OrnsteinUhlenbeck {
     pub(super) fn new(rng: &mut Rng) -> Self {
         Self { now: normals(rng) }
     }
 
-    /// It after `step_s`, if its memory is `memory_s` long.
-    pub(super) fn next(&mut self, step_s: f64, memory_s: f64, rng: &mut Rng) -> Vector3<f64> {
-        let kept = (-step_s / memory_s).exp();
+    /// It after `step_s`, with the correlation time `correlation_s`.
+    pub(super) fn next(&mut self, step_s: f64, correlation_s: f64, rng: &mut Rng) -> Vector3<f64> {
+        let kept = (-step_s / correlation_s).exp();
         self.now = self.now * kept + normals(rng) * (1.0 - kept * kept).sqrt();
         self.now
     }
@@ -65,9 +65,9 @@ impl Wander {
 pub(super) struct Noise {
     rng: Rng,
     tremor: [Tremor; 2],
-    way: Wander,
-    turn: Wander,
-    trigger: Wander,
+    way: OrnsteinUhlenbeck,
+    turn: OrnsteinUhlenbeck,
+    trigger: OrnsteinUhlenbeck,
 }
 
 impl Noise {
@@ -75,7 +75,7 @@ impl Noise {
         let tremor_m = figures.tremor_mm * 1e-3;
         let mut tremor = |rms| Tremor::new(rms, figures.tremor_hz, &mut rng);
         let tremor = [tremor(tremor_m), tremor(tremor_m / figures.tremor_lever_m)];
-        let [way, turn, trigger] = [(); 3].map(|()| Wander::new(&mut rng));
+        let [way, turn, trigger] = [(); 3].map(|()| OrnsteinUhlenbeck::new(&mut rng));
         Self {
             rng,
             tremor,
@@ -98,10 +98,13 @@ impl Noise {
         figures: &OperatorFigures,
         step_s: f64,
     ) -> ([Vector3<f64>; 2], f64) {
-        let memory_s = figures.noise_s;
-        let along = self.way.next(step_s, memory_s, &mut self.rng);
-        let about = self.turn.next(step_s, memory_s, &mut self.rng);
-        let trigger = self.trigger.next(step_s, 3.0 * memory_s, &mut self.rng).x;
+        let correlation_s = figures.noise_s;
+        let along = self.way.next(step_s, correlation_s, &mut self.rng);
+        let about = self.turn.next(step_s, correlation_s, &mut self.rng);
+        let trigger = self
+            .trigger
+            .next(step_s, 3.0 * correlation_s, &mut self.rng)
+            .x;
         let noisy = [
             way + along * (figures.noise * way.norm()),
             turn + about * (figures.noise * turn.norm()),
