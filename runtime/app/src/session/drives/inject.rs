@@ -251,8 +251,8 @@ impl Injector {
         }
     }
 
-    /// Undoes power, slack and faults of frames. A reset, an emergency, a bus-off and a foreign SYNC
-    /// are events: there is nothing to undo.
+    /// Undoes power, slack and faults of frames. A reset, an emergency, a bus-off and a foreign
+    /// SYNC are events: there is nothing to undo.
     fn end(
         &self,
         fault: &InjectedFault,
