@@ -83,16 +83,26 @@ fn cells(p: vec2f, seed: i32) -> vec3f {
     return nearest;
 }
 
-// Vessels of one size: the borders of cells of `size` mm, bent, in places; `width` in mm. Their borders fade where the light falls through.
+// Vessels of one size: the borders of cells of `size` mm, bent, in places; `width` in mm, which tapers until nothing is left where a vessel
+// ends. Their borders fade where the light falls through.
 fn vessel_net(p: vec2f, size: f32, width: f32, seed: i32) -> f32 {
     let far = size * 0.55;
     let bend = far * vec2f(swell(p / (1.3 * size), seed) - 0.5, swell(p / (1.3 * size), seed + 7) - 0.5)
         + 0.16 * size * vec2f(noise(p / (0.24 * size), seed + 14) - 0.5, noise(p / (0.24 * size), seed + 15) - 0.5);
     let cell = cells((p + 1.35 * bend) / size, seed + 20);
     let border = 0.5 * size * (cell.y - cell.x);
-    let thick = width * (0.45 + 1.1 * noise(p / (1.7 * size), seed + 30));
-    let here = smoothstep(0.42, 0.66, swell(p / (2.2 * size), seed + 31));
-    return here * (1.0 - smoothstep(0.35 * thick, thick + 0.06, border));
+    let taper = smoothstep(0.40, 0.74, swell(p / (2.2 * size), seed + 31));
+    let thick = width * taper * (1.0 + 1.3 * noise(p / (0.9 * size), seed + 30));
+    return smoothstep(0.0, 0.30, taper) * (1.0 - smoothstep(0.30 * thick, thick + 0.05, border));
+}
+
+// Fluid that runs down a wet surface along wandering lines: ridges some `size` mm apart and several times as long; 0 to 1.
+fn flow(p: vec2f, size: f32, seed: i32) -> f32 {
+    let wander = vec2f(swell(p / 19.0, seed) - 0.5, swell(p / 19.0, seed + 5) - 0.5);
+    let q = p + 14.0 * wander;
+    let wide = noise(vec2f(0.8 * q.x + 0.6 * q.y, 4.0 * (0.8 * q.y - 0.6 * q.x)) / (4.0 * size), seed + 10);
+    let narrow = noise(vec2f(0.8 * q.x + 0.6 * q.y, 4.0 * (0.8 * q.y - 0.6 * q.x)) / (1.9 * size), seed + 11);
+    return 0.7 * wide + 0.3 * narrow;
 }
 
 // Light that is taken away by blood in vessels `share` deep.
@@ -121,7 +131,7 @@ fn muscle(p: vec2f) -> Look {
     colour = bled(colour, 0.42 * fine + 0.20 * finest, 0.1);
     let waves = 2.2 * clouds(p / 21.0, 860) + 0.34 * clouds(p / 5.0, 861);
     let height = waves + 0.055 * fibre + 0.10 * veins + 0.05 * arteries + 0.03 * grain;
-    let film = waves + 0.16 * noise(p / 2.6, 870) + 0.055 * noise(p / 1.0, 871) + 0.022 * noise(p / 0.45, 872);
+    let film = waves + 0.17 * flow(p, 1.5, 870) + 0.055 * noise(p / 1.0, 871) + 0.022 * noise(p / 0.45, 872);
     return Look(colour, 1.0, vec2f(height, film));
 }
 
@@ -142,7 +152,7 @@ fn liver(p: vec2f) -> Look {
     colour = bled(colour, 0.30 * fine, 0.2);
     let waves = 1.9 * clouds(p / 30.0, 980) + 0.10 * clouds(p / 7.0, 981);
     let height = waves + 0.012 * smoothstep(0.0, 0.6, lobule.y - lobule.x) + 0.012 * grain;
-    let film = waves + 0.10 * noise(p / 3.4, 990) + 0.030 * noise(p / 1.3, 991) + 0.012 * noise(p / 0.5, 992);
+    let film = waves + 0.11 * flow(p, 1.9, 975) + 0.030 * noise(p / 1.3, 991) + 0.012 * noise(p / 0.5, 992);
     return Look(colour, 1.0, vec2f(height, film));
 }
 
@@ -191,7 +201,7 @@ fn membrane(p: vec2f) -> Look {
     colour = bled(colour, 0.28 * fine, 0.1);
     let waves = 1.1 * clouds(p / 9.0, 1290) + 0.20 * fatty;
     let height = waves + 0.12 * veins + 0.05 * arteries + 0.05 * blotch;
-    let film = waves + 0.08 * noise(p / 1.8, 1295) + 0.03 * noise(p / 0.7, 1296);
+    let film = waves + 0.09 * flow(p, 1.1, 1310) + 0.03 * noise(p / 0.7, 1296);
     return Look(colour, 1.0, vec2f(height, film));
 }
 

@@ -1,7 +1,10 @@
-//! The flap as a closed surface for drawing: a smooth refinement of the grid, both faces and the
-//! rim.
+//! The flap as a closed surface for drawing: splines through the grid, both faces and a round rim.
 //!
-//! Vertices and triangles are chosen once; a frame only moves them and allocates nothing.
+//! Its outline is that of cut tissue: rounded free corners, edges that wander by less than a
+//! millimetre about those of the physics, and a root that sinks into the organ behind the attached
+//! edge. Vertices and triangles are chosen once; a frame only moves them and allocates nothing.
+
+use core::f64::consts::FRAC_1_SQRT_2;
 
 use hal::Mesh;
 use hal::count::count_u32;
@@ -13,21 +16,60 @@ use super::sheet::{Sheet, count};
 /// Parts into which each cell side is split for drawing.
 const SPLIT: usize = 3;
 
+/// Radius of the free corners, m; a quarter of the shorter side at most.
+const CORNER_M: f64 = 0.007;
+
+/// By how much the outline leaves that of the physics, m, and how far from it points follow.
+const WANDER_M: f64 = 0.0007;
+const FOLLOW_M: f64 = 0.010;
+
+/// How far the root goes on behind the attached edge, m, in how many rows, and its radius, m.
+const ROOT_M: f64 = 0.0045;
+const ROOT_ROWS: usize = 4;
+const ROOT_RADIUS_M: f64 = 0.0030;
+
+/// The rim's section, a half circle from the upper face to the lower one: outwards and upwards, in
+/// half thicknesses.
+const SECTION: [[f64; 2]; 5] = [
+    [0.0, 1.0],
+    [FRAC_1_SQRT_2, FRAC_1_SQRT_2],
+    [1.0, 0.0],
+    [FRAC_1_SQRT_2, -FRAC_1_SQRT_2],
+    [0.0, -1.0],
+];
+
 /// What to draw of a sheet.
 #[derive(Clone, Debug)]
 pub struct Surface {
     mesh: Mesh,
     nodes: [usize; 2],
-    points: [usize; 2],
-    /// Distance of the points in the material, m.
+    /// Distance of the nodes in the material, m.
     spacing_m: [f64; 2],
     half_thickness_m: f64,
-    weights: [[f64; 4]; SPLIT],
-    /// Rows of nodes refined along u, then everything refined along both.
-    rows: Vec<Vector3<f64>>,
-    middle: Vec<Vector3<f64>>,
-    /// Vertices of the rim in order around the sheet, as numbers of `middle`.
+    /// The sheet's nodes, scene frame, m.
+    sheet: Vec<Vector3<f64>>,
+    /// How each point of the middle layer follows the nodes, row by row.
+    follow: Vec<Follow>,
+    /// The points of the middle layer and the unit normals there.
+    middle: Vec<(Vector3<f64>, Vector3<f64>)>,
+    /// Points of the middle layer around the sheet, in order.
     rim: Vec<usize>,
+}
+
+/// A point of the sheet's middle layer: a cubic spline along each axis, straight beyond the ends.
+#[derive(Clone, Copy, Debug)]
+struct Follow {
+    along: [Weights; 2],
+    /// How far behind the attached edge it is, m.
+    behind_m: f64,
+}
+
+/// Four nodes along one axis, their weights for the place and for its rate per node.
+#[derive(Clone, Copy, Debug)]
+struct Weights {
+    nodes: [usize; 4],
+    place: [f64; 4],
+    rate: [f64; 4],
 }
 
 impl Surface {
@@ -35,10 +77,21 @@ impl Surface {
     #[must_use]
     pub fn new(sheet: &Sheet) -> Self {
         let nodes = sheet.nodes();
-        let points = nodes.map(|nodes| (nodes - 1) * SPLIT + 1);
-        let whole = points[0] * points[1];
+        let [columns, rows] = nodes.map(|nodes| (nodes - 1) * SPLIT + 1);
+        let points = [columns, rows + ROOT_ROWS];
+        let outline = Outline {
+            size_m: [0, 1].map(|axis| sheet.spacing_m[axis] * count(nodes[axis] - 1)),
+            inset_m: 0.5 * sheet.material.thickness_m,
+        };
+        let follow = (0..points[1]).flat_map(|row| {
+            (0..points[0]).map(move |column| {
+                let at_m = outline.place(points, [column, row]);
+                Follow::at(nodes, sheet.spacing_m, at_m)
+            })
+        });
+        let follow: Vec<Follow> = follow.collect();
         let rim = rim(points);
-        let vertices = 2 * whole + 2 * rim.len();
+        let vertices = 2 * follow.len() + SECTION.len() * rim.len();
         let mut surface = Self {
             mesh: Mesh {
                 positions: vec![[0.0; 3]; vertices],
@@ -46,19 +99,18 @@ impl Surface {
                 indices: indices(points, rim.len()),
             },
             nodes,
-            points,
-            spacing_m: sheet.spacing_m.map(|spacing_m| spacing_m / count(SPLIT)),
+            spacing_m: sheet.spacing_m,
             half_thickness_m: 0.5 * sheet.material.thickness_m,
-            weights: core::array::from_fn(|part| spline(count(part) / count(SPLIT))),
-            rows: vec![Vector3::zeros(); points[0] * nodes[1]],
-            middle: vec![Vector3::zeros(); whole],
+            sheet: sheet.positions.clone(),
+            middle: vec![(Vector3::zeros(), Vector3::z()); follow.len()],
+            follow,
             rim,
         };
         surface.update(&sheet.positions);
         surface
     }
 
-    /// The mesh, scene frame.
+    /// The mesh, scene frame: the upper face's vertices, as many of the lower face, then the rim's.
     #[must_use]
     pub const fn mesh(&self) -> &Mesh {
         &self.mesh
@@ -73,56 +125,30 @@ impl Surface {
     /// Follows the sheet, whose nodes are at `positions` (m, in their order), [`Self::node_count`]
     /// of them. Indices and the number of vertices stay.
     pub fn update(&mut self, positions: &[Vector3<f64>]) {
-        self.refine(positions);
-        let [columns, rows] = self.points;
-        let whole = columns * rows;
-        for j in 0..rows {
-            for i in 0..columns {
-                let here = j * columns + i;
-                let normal = self.normal(i, j);
-                let offset = normal * self.half_thickness_m;
-                self.set(here, &(self.middle[here] + offset), &normal);
-                self.set(whole + here, &(self.middle[here] - offset), &-normal);
-            }
+        self.sheet.copy_from_slice(positions);
+        let whole = self.follow.len();
+        for here in 0..whole {
+            let (middle, up) = self.follow[here].of(self.nodes[0], &self.sheet);
+            let offset = up * self.half_thickness_m;
+            self.middle[here] = (middle, up);
+            self.set(here, &(middle + offset), &up);
+            self.set(whole + here, &(middle - offset), &-up);
         }
         self.update_rim();
     }
 
-    /// The edge, whose normals lead away from the sheet.
+    /// The edge, round and as thick as the sheet.
     fn update_rim(&mut self) {
-        let [columns, rows] = self.points;
-        let whole = columns * rows;
-        for corner in 0..self.rim.len() {
-            let here = self.rim[corner];
-            let next = self.rim[(corner + 1) % self.rim.len()];
-            let before = self.rim[(corner + self.rim.len() - 1) % self.rim.len()];
-            let up = self.normal(here % columns, here / columns);
-            let along = self.middle[next] - self.middle[before];
-            let out = along.cross(&up).try_normalize(0.0).unwrap_or(up);
-            let offset = up * self.half_thickness_m;
-            self.set(2 * whole + 2 * corner, &(self.middle[here] + offset), &out);
-            self.set(
-                2 * whole + 2 * corner + 1,
-                &(self.middle[here] - offset),
-                &out,
-            );
-        }
-    }
-
-    /// Lays cubic splines through the nodes, first along u, then along v.
-    fn refine(&mut self, positions: &[Vector3<f64>]) {
-        let (nodes, columns) = (self.nodes, self.points[0]);
-        for j in 0..nodes[1] {
-            let row = &positions[j * nodes[0]..(j + 1) * nodes[0]];
-            for i in 0..columns {
-                let at = |node: usize| row[node];
-                self.rows[j * columns + i] = along(nodes[0], i, &self.weights, at);
-            }
-        }
-        for i in 0..columns {
-            for j in 0..self.points[1] {
-                let at = |node: usize| self.rows[node * columns + i];
-                self.middle[j * columns + i] = along(nodes[1], j, &self.weights, at);
+        let (whole, around) = (self.follow.len(), self.rim.len());
+        for corner in 0..around {
+            let (middle, up) = self.middle[self.rim[corner]];
+            let (next, _) = self.middle[self.rim[(corner + 1) % around]];
+            let (before, _) = self.middle[self.rim[(corner + around - 1) % around]];
+            let out = (next - before).cross(&up).try_normalize(0.0).unwrap_or(up);
+            for (row, [outwards, upwards]) in SECTION.into_iter().enumerate() {
+                let normal = out * outwards + up * upwards;
+                let at = middle + normal * self.half_thickness_m;
+                self.set(2 * whole + row * around + corner, &at, &normal);
             }
         }
     }
@@ -130,44 +156,157 @@ impl Surface {
     /// The upper face at the material coordinates `at_m`, held inside the sheet: place and unit
     /// normal.
     pub(super) fn upper(&self, at_m: [f64; 2]) -> (Vector3<f64>, Vector3<f64>) {
-        let [(i, s), (j, t)] = [0, 1].map(|axis| {
-            let last = self.points[axis] - 1;
-            let along = (at_m[axis] / self.spacing_m[axis]).clamp(0.0, count(last));
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "clamped to the number of points"
-            )]
-            let low = (along as usize).min(last - 1);
-            (low, along - count(low))
+        let held = [0, 1].map(|axis| {
+            let size_m = self.spacing_m[axis] * count(self.nodes[axis] - 1);
+            at_m[axis].clamp(0.0, size_m)
         });
-        let corners = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)];
-        let weights = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
-        let mut at = Vector3::zeros();
-        let mut normal = Vector3::zeros();
-        for ((i, j), weight) in corners.into_iter().zip(weights) {
-            let here = self.normal(i, j);
-            at += (self.middle[j * self.points[0] + i] + here * self.half_thickness_m) * weight;
-            normal += here * weight;
-        }
-        (at, normal.try_normalize(0.0).unwrap_or_else(Vector3::z))
-    }
-
-    fn normal(&self, i: usize, j: usize) -> Vector3<f64> {
-        let [columns, rows] = self.points;
-        let at = |i: usize, j: usize| self.middle[j * columns + i];
-        let along_u = at((i + 1).min(columns - 1), j) - at(i.saturating_sub(1), j);
-        let along_v = at(i, (j + 1).min(rows - 1)) - at(i, j.saturating_sub(1));
-        along_u
-            .cross(&along_v)
-            .try_normalize(0.0)
-            .unwrap_or_else(Vector3::z)
+        let follow = Follow::at(self.nodes, self.spacing_m, held);
+        let (middle, up) = follow.of(self.nodes[0], &self.sheet);
+        (middle + up * self.half_thickness_m, up)
     }
 
     fn set(&mut self, vertex: usize, position: &Vector3<f64>, normal: &Vector3<f64>) {
         self.mesh.positions[vertex] = single(position);
         self.mesh.normals[vertex] = single(normal);
     }
+}
+
+impl Follow {
+    /// The point at the material coordinates `at_m`, m.
+    fn at(nodes: [usize; 2], spacing_m: [f64; 2], at_m: [f64; 2]) -> Self {
+        Self {
+            along: [0, 1].map(|axis| Weights::at(nodes[axis], at_m[axis] / spacing_m[axis])),
+            behind_m: (-at_m[1]).max(0.0),
+        }
+    }
+
+    /// Place and unit normal of the middle layer with the nodes at `positions`, `columns` a row.
+    fn of(&self, columns: usize, positions: &[Vector3<f64>]) -> (Vector3<f64>, Vector3<f64>) {
+        let [u, v] = &self.along;
+        let [mut place, mut along_u, mut along_v] = [Vector3::zeros(); 3];
+        for (row, (place_v, rate_v)) in v.nodes.iter().zip(v.place.iter().zip(&v.rate)) {
+            let (mut in_row, mut rate_in_row) = (Vector3::zeros(), Vector3::zeros());
+            for (column, (place_u, rate_u)) in u.nodes.iter().zip(u.place.iter().zip(&u.rate)) {
+                let node = positions[row * columns + column];
+                in_row += node * *place_u;
+                rate_in_row += node * *rate_u;
+            }
+            place += in_row * *place_v;
+            along_u += rate_in_row * *place_v;
+            along_v += in_row * *rate_v;
+        }
+        let up = unit(along_u.cross(&along_v));
+        if self.behind_m <= 0.0 {
+            return (place, up);
+        }
+        // The root bends down about an axis along u.
+        let steep = self.behind_m / ROOT_RADIUS_M;
+        let sunk = place - up * (0.5 * self.behind_m * steep);
+        (sunk, unit(up - unit(along_v) * steep))
+    }
+}
+
+impl Weights {
+    /// At `at` nodes from the first of `nodes`: splines of Catmull and Rom between them, the line
+    /// goes on straight beyond the ends.
+    fn at(nodes: usize, at: f64) -> Self {
+        let last = nodes - 2;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "clamped to the number of cells"
+        )]
+        let cell = (at.clamp(0.0, count(last)) as usize).min(last);
+        let t = at - count(cell);
+        let (mut place, mut rate) = if (0.0..=1.0).contains(&t) {
+            (spline(t), spline_rate(t))
+        } else {
+            ([0.0, 1.0 - t, t, 0.0], [0.0, -1.0, 1.0, 0.0])
+        };
+        for weights in [&mut place, &mut rate] {
+            let [before, low, high, after] = weights;
+            if cell == 0 {
+                (*low, *high) = (*low + 2.0 * *before, *high - *before);
+                *before = 0.0;
+            }
+            if cell == last {
+                (*low, *high) = (*low - *after, *high + 2.0 * *after);
+                *after = 0.0;
+            }
+        }
+        let nodes = [
+            cell.saturating_sub(1),
+            cell,
+            cell + 1,
+            (cell + 2).min(nodes - 1),
+        ];
+        Self { nodes, place, rate }
+    }
+}
+
+/// The drawn outline of a sheet.
+#[derive(Clone, Copy)]
+struct Outline {
+    /// Of the physics' sheet along u and v, m.
+    size_m: [f64; 2],
+    /// How far the faces end before it, m: the rim is outside of them.
+    inset_m: f64,
+}
+
+impl Outline {
+    /// Material coordinates of the point `[column, row]` of `points`, m.
+    fn place(&self, points: [usize; 2], [column, row]: [usize; 2]) -> [f64; 2] {
+        let half_m = 0.5 * self.size_m[0] - self.inset_m;
+        let end_m = self.size_m[1] - self.inset_m;
+        let aside_m = half_m * (2.0 * count(column) / count(points[0] - 1) - 1.0);
+        let v_m = if row < ROOT_ROWS {
+            -ROOT_M * (1.0 - count(row) / count(ROOT_ROWS))
+        } else {
+            end_m * (count(row - ROOT_ROWS) / count(points[1] - 1 - ROOT_ROWS))
+        };
+        let [aside_m, v_m] = rounded([half_m, end_m], [aside_m, v_m]);
+        // Apart on both sides, and not where the tissue is attached.
+        let begins = (v_m / FOLLOW_M).clamp(0.0, 1.0);
+        let side = begins * follows(half_m - aside_m.abs()) * wander(v_m + aside_m.signum());
+        let end = follows(end_m - v_m) * wander(aside_m);
+        let sign = aside_m.signum();
+        [
+            0.5 * self.size_m[0] + aside_m + sign * WANDER_M * side,
+            v_m + WANDER_M * end,
+        ]
+    }
+}
+
+/// A point of a rectangle, `[aside, v]` with `aside` up to `half_m` to both sides and `v` up to
+/// `end_m`, where it is after the two corners at the end are rounded: squares about them become
+/// quarters of a disc.
+fn rounded([half_m, end_m]: [f64; 2], [aside_m, v_m]: [f64; 2]) -> [f64; 2] {
+    let radius_m = CORNER_M.min(0.5 * half_m).min(0.25 * end_m);
+    let x = (aside_m.abs() - (half_m - radius_m)) / radius_m;
+    let y = (v_m - (end_m - radius_m)) / radius_m;
+    if x <= 0.0 || y <= 0.0 {
+        return [aside_m, v_m];
+    }
+    let share = x.max(y) / x.hypot(y);
+    [
+        (half_m - radius_m + share * x * radius_m) * aside_m.signum(),
+        end_m - radius_m + share * y * radius_m,
+    ]
+}
+
+/// How much of the outline's wandering a point has that is `inside_m` away from it: 1 to 0.
+fn follows(inside_m: f64) -> f64 {
+    let share = 1.0 - (inside_m / FOLLOW_M).clamp(0.0, 1.0);
+    share * share
+}
+
+/// The outline's wandering, between -1 and 1, at `along_m`.
+fn wander(along_m: f64) -> f64 {
+    0.6 * (190.0 * along_m + 0.7).sin() + 0.4 * (430.0 * along_m + 2.1).sin()
+}
+
+fn unit(vector: Vector3<f64>) -> Vector3<f64> {
+    vector.try_normalize(0.0).unwrap_or_else(Vector3::z)
 }
 
 /// Weights of four neighbouring nodes at the share `t` between the inner two (Catmull and Rom).
@@ -181,31 +320,15 @@ fn spline(t: f64) -> [f64; 4] {
     ]
 }
 
-/// The spline through `nodes` nodes at refined point `point`; beyond the ends the line goes on
-/// straight.
-fn along(
-    nodes: usize,
-    point: usize,
-    weights: &[[f64; 4]; SPLIT],
-    at: impl Fn(usize) -> Vector3<f64>,
-) -> Vector3<f64> {
-    let (cell, part) = (point / SPLIT, point % SPLIT);
-    if part == 0 {
-        return at(cell);
-    }
-    let (low, high) = (at(cell), at(cell + 1));
-    let before = if cell == 0 {
-        low * 2.0 - high
-    } else {
-        at(cell - 1)
-    };
-    let after = if cell + 2 < nodes {
-        at(cell + 2)
-    } else {
-        high * 2.0 - low
-    };
-    let [p, q, r, s] = weights[part];
-    before * p + low * q + high * r + after * s
+/// Their rates with `t`.
+fn spline_rate(t: f64) -> [f64; 4] {
+    let t2 = t * t;
+    [
+        0.5 * (4.0 * t - 3.0 * t2 - 1.0),
+        0.5 * (9.0 * t2 - 10.0 * t),
+        0.5 * (1.0 + 8.0 * t - 9.0 * t2),
+        0.5 * (3.0 * t2 - 2.0 * t),
+    ]
 }
 
 /// Points around a grid, so that the outside is on the right: along u, up v, and back.
@@ -230,9 +353,14 @@ fn indices([columns, rows]: [usize; 2], rim: usize) -> Vec<u32> {
             triangles.extend(lower.map(|vertex| vertex + whole));
         }
     }
-    for corner in 0..rim {
-        let (here, next) = (2 * whole + 2 * corner, 2 * whole + 2 * ((corner + 1) % rim));
-        triangles.extend([here, here + 1, next + 1, here, next + 1, next]);
+    for row in 1..SECTION.len() {
+        let [upper, lower] = [row - 1, row].map(|row| 2 * whole + row * rim);
+        for corner in 0..rim {
+            let next = (corner + 1) % rim;
+            let (here, below) = (upper + corner, lower + corner);
+            let (beside, across) = (upper + next, lower + next);
+            triangles.extend([here, below, across, here, across, beside]);
+        }
     }
     triangles.into_iter().map(count_u32).collect()
 }

@@ -45,9 +45,10 @@ fn surface_is_closed_and_faces_outwards() {
         edges.values().all(|count| *count == 0),
         "every edge is walked once each way"
     );
-    let expected = config.length_m * config.grid_depth_m() * config.material.thickness_m;
+    // The root is behind the attached edge, the free corners are round.
+    let expected = config.length_m * (config.grid_depth_m() + 0.0045) * config.material.thickness_m;
     assert!(
-        (volume / expected - 1.0).abs() < 0.01,
+        (volume / expected - 1.0).abs() < 0.04,
         "{volume:e} of {expected:e}"
     );
 }
@@ -72,15 +73,16 @@ fn surface_follows_the_sheet_and_keeps_its_memory() {
         (count, &before.mesh().indices),
         (surface.mesh().positions.len(), &surface.mesh().indices)
     );
-    // Between the two faces of the last corner lies the last node, before and after.
-    let corner = |surface: &Surface| {
-        let whole = surface.mesh().positions.len();
-        let rim = 2 * (15 + 12) * 3;
-        let faces = (whole - 2 * rim) / 2;
-        let index = |vertex: usize| u32::try_from(vertex).unwrap();
-        0.5 * (vertex(surface, index(faces - 1)) + vertex(surface, index(2 * faces - 1)))
-    };
-    assert!((corner(&surface) - corner(&before) - lift).norm() < 1e-8);
+    // What is near the last node goes along, what is three cells away stays.
+    let far_m = 3.0 * config.length_m / 15.0;
+    let node = tissue.sheet().positions()[last] - lift;
+    let mut most = 0.0_f64;
+    for index in 0..u32::try_from(count).unwrap() {
+        let moved = vertex(&surface, index) - vertex(&before, index);
+        most = most.max(moved.norm());
+        assert!(moved.norm() < 1e-8 || (vertex(&before, index) - node).norm() < far_m);
+    }
+    assert!(most > 0.5 * lift.norm(), "{most}");
 }
 
 #[test]
@@ -132,4 +134,26 @@ fn snapshot_has_every_node_to_a_tenth_of_a_micrometre() {
     for (drawn, true_m) in snapshot.nodes().zip(nodes) {
         assert!((drawn - true_m).norm() < 1e-7);
     }
+}
+
+#[test]
+fn outline_is_that_of_the_physics_within_a_millimetre() {
+    let config = flap_config();
+    let surface = config.surface();
+    let in_material = config.scene_from_material().inverse();
+    let size_m = [config.length_m, config.grid_depth_m()];
+    let mut furthest = [0.0_f64; 2];
+    for position in &surface.mesh().positions {
+        let at = in_material * nalgebra::Point3::from(position.map(f64::from));
+        furthest = [furthest[0].max(at.x), furthest[1].max(at.y)];
+        assert!(at.x > -0.001 && at.x < size_m[0] + 0.001, "{at}");
+        assert!(at.y > -0.006 && at.y < size_m[1] + 0.001, "{at}");
+        // A round corner: nothing is where two straight edges met.
+        let corner = nalgebra::Vector2::new((at.x - 0.5 * size_m[0]).abs(), at.y)
+            - nalgebra::Vector2::new(0.5 * size_m[0], size_m[1]);
+        assert!(corner.norm() > 0.0015, "{at}");
+        // Behind the attached edge the root dives into the organ.
+        assert!(at.y > -0.0040 || at.z < -0.001, "{at}");
+    }
+    assert!(furthest[0] > size_m[0] - 0.001 && furthest[1] > size_m[1] - 0.001);
 }
