@@ -289,8 +289,8 @@ fn quarter() -> impl DoubleEndedIterator<Item = [f64; 2]> {
     turn.into_iter().map(|point| [point.x, point.y])
 }
 
-/// Half the largest radius of a rounded corner, m, that leaves a point `from_sides_m` away from its
-/// two sides inside: that circle goes through the point.
+/// Half the largest radius, m, of a rounded corner that keeps a point inside which is `a` and `b`
+/// (m) from its two sides: at twice this radius the circle goes through the point.
 fn radius_around_m([a, b]: [f64; 2]) -> f64 {
     0.5 * (a + b + (2.0 * a * b).sqrt())
 }
