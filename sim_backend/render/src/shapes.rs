@@ -1,4 +1,4 @@
-//! Procedural meshes: solids of revolution, boxes, tubes along a line, height fields.
+//! Procedural meshes: solids of revolution, boxes, tubes along a line, height fields, sheets.
 //!
 //! All in metres, with outward counter-clockwise triangles; see [`instrument`] for the parts of the
 //! arm's tool.
@@ -72,6 +72,46 @@ pub fn smooth_sheet(rows: &[Vec<Point3<f64>>]) -> Mesh {
     let mut mesh = Mesh::default();
     sheet(&mut mesh, &vertices);
     mesh
+}
+
+/// A sheet through rows of points with their normals, all of one length; outside is where `u x v`
+/// points, with `u` along a row and `v` over the rows.
+///
+/// For flat faces beside rounded edges: a face is flat where its two rows have the same normals.
+/// Rows that coincide make a sharp edge. Rows of different lengths are joined as far as the shorter
+/// one goes.
+#[must_use]
+pub fn shaded_sheet(rows: &[Vec<(Point3<f64>, Vector3<f64>)>]) -> Mesh {
+    let mut mesh = Mesh::default();
+    sheet(&mut mesh, rows);
+    mesh.without_slivers()
+}
+
+/// A rectangle about the origin in the xy plane with rounded corners: points with outward normals,
+/// counter-clockwise from the -y side of the +x -y corner, the first one again at the end.
+///
+/// `4 * (steps + 1) + 1` points. A radius of 0 makes sharp corners, whose points coincide; one of
+/// more than half the shorter side turns the rectangle inside out.
+#[must_use]
+pub fn rounded_rectangle(
+    half_m: [f64; 2],
+    radius_m: f64,
+    steps: u32,
+) -> Vec<(Point3<f64>, Vector3<f64>)> {
+    let [x, y] = half_m.map(|half| half - radius_m);
+    let (aside, ahead): (Vector3<f64>, Vector3<f64>) = (Vector3::x(), Vector3::y());
+    let sides = [-ahead, aside, ahead, -aside];
+    let corners = sides.into_iter().zip(sides.into_iter().cycle().skip(1));
+    let mut points: Vec<(Point3<f64>, Vector3<f64>)> = Vec::new();
+    for (from, to) in corners {
+        let centre = Vector3::new(x, y, 0.0).component_mul(&(from + to));
+        points.extend(arc(1.0, 0.0, 0.25 * TAU, steps).into_iter().map(|turn| {
+            let out = turn.x * from + turn.y * to;
+            (Point3::from(centre + radius_m * out), out)
+        }));
+    }
+    points.extend(points.first().copied());
+    points
 }
 
 /// `mesh` moved by `pose`, in the frame that `pose` is in.

@@ -23,6 +23,31 @@ fn inverted(mesh: &Mesh) -> usize {
     mesh.indices.chunks_exact(3).filter(wrong).count()
 }
 
+/// A slab of 40 x 20 x 5 mm whose vertical corners are rounded.
+fn slab(corner_m: f64) -> Mesh {
+    let outline = rounded_rectangle([0.02, 0.01], corner_m, 16);
+    let ring = |z: f64, up: f64| -> Vec<_> {
+        let vertex = |&(at, out): &(Point3<f64>, Vector3<f64>)| {
+            let normal = (1.0 - up.abs()) * out + up * Vector3::z();
+            (at + z * Vector3::z(), normal)
+        };
+        outline.iter().map(vertex).collect()
+    };
+    let middle = |z: f64, up: f64| {
+        let vertex = (Point3::new(0.0, 0.0, z), up * Vector3::z());
+        vec![vertex; outline.len()]
+    };
+    let top_m = 0.005;
+    shaded_sheet(&[
+        middle(0.0, -1.0),
+        ring(0.0, -1.0),
+        ring(0.0, 0.0),
+        ring(top_m, 0.0),
+        ring(top_m, 1.0),
+        middle(top_m, 1.0),
+    ])
+}
+
 fn named() -> Vec<(&'static str, Mesh)> {
     vec![
         ("cuboid", cuboid(Vector3::new(0.01, 0.02, 0.03))),
@@ -36,6 +61,8 @@ fn named() -> Vec<(&'static str, Mesh)> {
                 0.002 * (90.0 * x).sin() * (70.0 * y).cos()
             }),
         ),
+        ("slab", slab(0.004)),
+        ("sharp slab", slab(0.0)),
         ("shaft", shaft(0.15)),
         ("wrist", wrist()),
         ("finger", finger(Finger::PlusY)),
@@ -70,6 +97,16 @@ fn solids_enclose_their_volume() {
         (needle_m3 / arc_m3 - 1.0).abs() < 0.02,
         "{needle_m3} {arc_m3}"
     );
+}
+
+#[test]
+fn a_rounded_slab_lacks_its_corners() {
+    for corner_m in [0.0, 0.004, 0.01_f64] {
+        let corners_m2 = (4.0 - core::f64::consts::PI) * corner_m.powi(2);
+        let expected_m3 = (0.04 * 0.02 - corners_m2) * 0.005;
+        let slab_m3 = volume_m3(&slab(corner_m));
+        assert!((slab_m3 / expected_m3 - 1.0).abs() < 1e-3, "{slab_m3}");
+    }
 }
 
 #[test]

@@ -6,6 +6,7 @@
 //! Drawn for each episode: where the needle lies before the lip, by [`PadStart`]. The goal is the
 //! middle of the hole, unturned: the needle goes through along the scene's y.
 
+mod cast;
 mod fold;
 mod pad;
 mod script;

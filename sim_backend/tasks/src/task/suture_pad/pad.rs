@@ -8,11 +8,10 @@ use serde::Deserialize;
 use trocar_render::shapes::{cuboid, placed};
 use trocar_world::Shape;
 
+use super::cast::Cast;
+
 /// Half the size of the table under the pad, m.
 const TABLE_HALF_M: f64 = 0.25;
-
-/// How far the layer of fat lies behind the others, m.
-const INSET_M: f64 = 0.000_3;
 
 /// Thickness of the ink, m.
 const INK_M: f64 = 0.000_05;
@@ -109,19 +108,7 @@ impl PadShape {
     /// What is drawn, in the scene frame: skin with the lip, fat, muscle, and the ink around the
     /// hole.
     pub(super) fn meshes(&self) -> [Mesh; 4] {
-        let [plate, lip @ ..] = self.boxes();
-        let layer = |from: f64, to: f64, inset_m: f64| {
-            let [mut low, mut high] = plate;
-            for axis in 0..2 {
-                low[axis] += inset_m;
-                high[axis] -= inset_m;
-            }
-            (low[2], high[2]) = (-from * self.thickness_m, -to * self.thickness_m);
-            block([low, high])
-        };
-        let skin = Mesh::merged([layer(0.25, 0.0, 0.0)].into_iter().chain(lip.map(block)));
-        let fat = layer(0.6, 0.25, INSET_M);
-        let muscle = layer(1.0, 0.6, 0.0);
+        let [skin, fat, muscle] = Cast::of(self).layers();
         [skin, fat, muscle, self.ink()]
     }
 
