@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-beside-short test-beside-long test-adversary test-golden test-can test-python test-foxglove test-lerobot test-study test-console test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python setup-anatomy setup-lerobot bench clean
+.PHONY: checked demo dist test-dist test check test-units test-clocked test-clockless test-in-turn test-beside test-beside-short test-beside-long test-adversary test-golden test-can test-python test-python-clocked test-python-clockless test-foxglove test-lerobot test-study test-console test-console-live test-console-replayed test-anatomy test-anatomy-short test-release test-slurm adversary fuzz-can build setup setup-can setup-browser setup-python setup-anatomy setup-lerobot bench clean
 
 TARGET := $(abspath $(or $(CARGO_TARGET_DIR),target))
 TROCAR := $(TARGET)/release/trocar
@@ -7,6 +7,7 @@ TROCAR := $(TARGET)/release/trocar
 TROCAR_CHECKED := $(TARGET)/checked/trocar
 CARGO := .ci/checked
 PYTHON := $(CURDIR)/target/python/bin/python
+PYTEST = cd policy/python && TROCAR=$(TROCAR_CHECKED) $(PYTHON) -B -m pytest -q -p no:cacheprovider
 
 # Set but empty means not set; cargo would take it for a folder.
 ifeq ($(strip $(LIBTORCH)),)
@@ -20,16 +21,21 @@ demo: build
 	$(TROCAR) demo --out runs/demo
 
 # Integration tests that read no clock: lockstep, files, arithmetic.
-CLOCKLESS := anatomy bad_input can_fuzz compute determinism ensembling evaluation golden hostile import lockstep recording scene_file task_folder training views
+CLOCKLESS := anatomy architecture bad_input can_fuzz can_refusals can_sync command_line compute conformance determinism ensembling evaluation golden hostile import lockstep master no_alloc peer recording scene_file task_folder training views
 
-# Unit tests that read it.
+# Of the tests in other files those that read none, by parts of their names: the console on logs, datasets and recordings by the expert, and
+# examples in lockstep.
+REPLAYED := dataset:: log:: replayed:: foxglove::foxglove_is_told_a_log browser::the_page_follows_a_recording recorded::a_recording_tells
+CLOCKLESS_PARTS := in_lockstep:: $(REPLAYED)
+
+# Unit tests that read a clock.
 CLOCKED := session::realtime::
 
 # Benches and examples are linted where our crates are.
 LINTED := $(if $(filter 1,$(TROCAR_LINT)),--bench '*' --examples)
 
-# Everything that can fail for a reason in this tree, of a release with assertions. What reads a clock, or waits for a bus, Python or a
-# person's hands, runs in turn; what needs no clock has the processor time that they leave, and so has the compiler once the first of them,
+# Everything that can fail for a reason in this tree, of a release with assertions. What reads a clock, or waits for a bus or a person's
+# hands, runs in turn; what needs no clock has the processor time that they leave, and so has the compiler once the first of them,
 # which mostly wait for their bus, are there.
 test: setup setup-can setup-python setup-anatomy setup-browser checked
 	$(CARGO) test --workspace --test can_bus --no-run
@@ -37,9 +43,9 @@ test: setup setup-can setup-python setup-anatomy setup-browser checked
 
 test-in-turn:
 	$(MAKE) test-can
-	$(MAKE) test-python
+	$(MAKE) test-python-clocked
 	$(MAKE) test-clocked
-	$(MAKE) test-console
+	$(MAKE) test-console-live
 
 # One cargo at a time: until the CAN tests run.
 test-beside:
@@ -51,9 +57,11 @@ test-beside-short:
 	$(MAKE) test-units
 	$(MAKE) test-clockless
 
-# What one core does alone for minutes.
+# What one core does alone for minutes. What has limits of time, wide ones, comes first: browsers and runs in turn leave least at the end.
 test-beside-long:
 	$(MAKE) test-study
+	$(MAKE) test-console-replayed
+	$(MAKE) test-python-clockless
 	$(MAKE) test-anatomy-short
 	$(CARGO) test --workspace --doc
 
@@ -63,10 +71,11 @@ test-units: setup
 # In real time, at half speed.
 test-clocked: setup checked
 	$(CARGO) test -p trocar --lib $(CLOCKED)
-	SKIP="$(CLOCKLESS) study" TROCAR_SLOW_MOTION=2 $(CARGO) test --workspace --test '*' --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/unless"]'
+	SKIP="$(CLOCKLESS) study" TROCAR_SLOW_MOTION=2 $(CARGO) test --workspace --test '*' --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/unless"]' -- $(CLOCKLESS_PARTS:%=--skip %)
 
 test-clockless: setup checked
 	$(CARGO) test --workspace $(CLOCKLESS:%=--test %)
+	$(CARGO) test --workspace --test console --test examples -- $(CLOCKLESS_PARTS)
 
 # The binary that users get moves as the one with assertions does. Not part of `make test`.
 test-release: checked build
@@ -85,13 +94,19 @@ test-can: setup setup-can checked
 	$(CARGO) test --workspace --test can_bus --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/on-vcan"]' -- --ignored
 
 # The Python package: types, and its policies and environments in a virtual environment in target/python.
-test-python: setup setup-python checked
+test-python: test-python-clockless test-python-clocked
+
+# What runs in real time, or waits until a time is over.
+test-python-clocked: setup setup-python checked
+	$(PYTEST) -m clock
+
+test-python-clockless: setup setup-python checked
 	cd policy/python && $(PYTHON) -m mypy --cache-dir $(CURDIR)/target/mypy
-	cd policy/python && TROCAR=$(TROCAR_CHECKED) $(PYTHON) -B -m pytest -q -p no:cacheprovider
+	$(PYTEST) -m 'not clock'
 
 # What runs and logs tell Foxglove, read with its Python SDK and MCAP's; part of `make test-python`.
 test-foxglove: setup setup-python checked
-	cd policy/python && TROCAR=$(TROCAR_CHECKED) $(PYTHON) -B -m pytest -q -p no:cacheprovider tests/test_foxglove.py
+	$(PYTEST) tests/test_foxglove.py
 
 # The plug-in in LeRobot's own registry and rollout, and committed policies run by LeRobot's classes beside our engine. Wants Python 3.12 and
 # installs 5.5 GB, so it is no part of `make test`.
@@ -104,8 +119,14 @@ test-study: setup setup-browser checked
 
 # The web console in a browser: it shows and steers a run, comes back after a cut, fits its window; pictures of it in target/scratch. One
 # of its tests at a time: hands that come late are let go.
-test-console: setup setup-browser checked
-	$(CARGO) test --workspace --test console -- --ignored --test-threads=1
+test-console: test-console-replayed test-console-live
+
+test-console-live: setup setup-browser checked
+	$(CARGO) test --workspace --test console -- --ignored --test-threads=1 $(REPLAYED:%=--skip %)
+
+# Those that read no clock.
+test-console-replayed: setup setup-browser checked
+	$(CARGO) test --workspace --test console -- --ignored --test-threads=1 $(REPLAYED)
 
 # Patients of scans: what nibabel, SimpleITK, trimesh, usd-core and the Khronos glTF validator say of a small phantom's meshes.
 test-anatomy-short: setup setup-anatomy checked

@@ -39,6 +39,8 @@ mod monitor;
 mod page;
 #[path = "console/recorded.rs"]
 mod recorded;
+#[path = "console/replayed.rs"]
+mod replayed;
 #[path = "console/run.rs"]
 mod run;
 #[path = "console/secure.rs"]

@@ -9,6 +9,8 @@
     reason = "in a test, a failure to set up is a failure"
 )]
 
+#[path = "examples/in_lockstep.rs"]
+mod in_lockstep;
 #[path = "../../runtime/control/examples/own_arm.rs"]
 mod own_arm;
 #[path = "../../runtime/app/examples/own_camera.rs"]
@@ -30,42 +32,6 @@ use trocar_log::replay::replay;
 use trocar_log::verify::verify;
 use trocar_log::{LoggedItem, RunLog, read_items};
 use trocar_topics::{CameraTopic, TopicNode};
-
-#[test]
-fn an_own_arm_is_led_to_its_target() {
-    let away_m = own_arm::run().unwrap();
-    assert!(away_m < 2e-4, "{away_m}");
-}
-
-#[test]
-fn an_own_policy_is_asked_and_its_chunks_are_taken() {
-    let result = own_policy::run().unwrap();
-    let summary = result.summary;
-    assert_eq!(summary.policy.name, "circles");
-    assert_eq!((result.ok, summary.success), (false, Some(false)));
-    assert!(summary.policy.queries > 50, "{summary:?}");
-    assert_eq!(summary.policy.refused, 0, "{summary:?}");
-}
-
-/// The trials are those of single runs, however many there are at a time: each begins with the
-/// policy as it was at first.
-#[test]
-fn an_own_policy_is_evaluated() {
-    let run = own_policy::run().unwrap().summary;
-    let commands = |jobs: usize| {
-        let evaluated = own_policy::evaluate(2, jobs).unwrap();
-        assert_eq!(evaluated.policy, "circles");
-        assert_eq!((evaluated.trials, evaluated.successes), (2, 0));
-        let trials = evaluated.episodes.into_iter();
-        let trials = trials.map(|trial| (trial.seed, trial.command_hash));
-        trials.collect::<Vec<_>>()
-    };
-    let found = commands(1);
-    let seeds: Vec<u64> = found.iter().map(|(seed, _)| *seed).collect();
-    assert_eq!(seeds, [7, 8]);
-    assert_eq!(found.first().unwrap().1, run.command_hash);
-    assert_eq!(found, commands(2));
-}
 
 /// An own robot runs in real time and its log replays and verifies.
 #[test]

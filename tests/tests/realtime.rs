@@ -12,6 +12,8 @@
 mod arms_on_topics;
 #[path = "realtime/by_hand.rs"]
 mod by_hand;
+#[path = "realtime/interrupted.rs"]
+mod interrupted;
 #[path = "realtime/others_cameras.rs"]
 mod others_cameras;
 #[path = "realtime/two_arms.rs"]

@@ -20,6 +20,8 @@ from trocar.arms import StopPlayer, arms_of, stop_at
 from trocar.messages import ArmFeedback, ArmSetpoint, AxisStop
 from trocar.topics import Node, TopicError
 
+pytestmark = pytest.mark.clock
+
 SAFETY = Path(__file__).parents[3] / "config/tasks/needle-lift/safety.toml"
 README = Path(__file__).parent.parent / "README.md"
 

@@ -43,6 +43,8 @@ from trocar.crtk.pictures import Lens, Size, colour_of, fitted, lens_of
 from trocar.crtk.readiness import FAULT_NS_MIN, Latch, fault_of
 from trocar.crtk.servo import Servo, close_all
 
+pytestmark = pytest.mark.clock
+
 CONFIG = Path(__file__).parents[3] / "config"
 SAFETY = CONFIG / "tasks/needle-lift/safety.toml"
 PSM = Path(__file__).parent / "crtk_psm.py"

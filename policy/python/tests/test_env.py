@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import trocar
-from conftest import short
+from conftest import PATIENT, short
 from gymnasium.utils.env_checker import check_env
 from trocar.policy import later
 
@@ -224,7 +224,8 @@ def test_a_policy_of_another_rate_does_the_same_in_both(
         _, reward, terminated, truncated, info = env.step(policy.at(steps * step_ns))
         ended = terminated or truncated
     assert info["success"] and reward == 1.0 and steps == pytest.approx(fps * info["seconds"], abs=1)
-    running = session("eval", "--task", "needle-lift", "--policy", f"external:{name}", "--trials", "1", "--seed", "7", "--latency-ms", "0", "--json", "-")
+    asked = ["--policy", f"external:{name}", *PATIENT, "--trials", "1", "--seed", "7", "--latency-ms", "0"]
+    running = session("eval", "--task", "needle-lift", *asked, "--json", "-")
     assert trocar.serve(policy, name, query_every=5, step_ns=step_ns, sessions=1) == 1
     _, out, err = running.end()
     (trial,) = json.loads(out)["episodes"]

@@ -24,6 +24,7 @@ def viewed(place: str) -> str:
     return done.stdout
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("task, arms", [("needle-lift", 1), ("needle-handover", 2), ("tissue-retraction", 1)])
 def test_a_live_run_is_read(session: Callable[..., Any], task: str, arms: int) -> None:
     policy = ["--policy", "expert", "--foxglove", "127.0.0.1:0", "--no-log"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trocar
-from conftest import short
+from conftest import PATIENT, short
 
 STEP_NS = 40_000_000
 PLAIN = ["--set", "scene.rendering.shading=plain", "--set", "control.aggregation.mode=newest"]
@@ -68,7 +68,7 @@ def test_a_served_policys_chunks_make_the_same_commands(
     _, out, err = run(policy, "--log", str(log)).end()
     own = json.loads(out)
     repeats = Repeats(log, topics)
-    served = run(f"external:{name}")
+    served = run(f"external:{name}", *PATIENT)
     assert trocar.serve(repeats, name, query_every=repeats.every, sessions=1) == 1
     code, out, err = served.end()
     theirs = json.loads(out)
@@ -102,7 +102,7 @@ def test_an_environments_actions_are_chunks_without_delay(every: int, name: str,
             goal = goals[observation.stamp_ns // step_ns]
             return np.array([observation.arms[0].here, goal, goal])
 
-    delay = ["--latency-ms", "0", "--seed", "7", "--json", "-"]
+    delay = [*PATIENT, "--latency-ms", "0", "--seed", "7", "--json", "-"]
     served = session("run", "--task", "needle-lift", "--policy", f"external:{name}", "--lockstep", *delay, *short(2.0), *PLAIN)
     assert trocar.serve(Goes(), name, query_every=every, step_ns=step_ns, sessions=1) == 1
     _, out, err = served.end()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import short
+from conftest import PATIENT, short
 from trocar.topics import Node
 
 README = Path(__file__).parent.parent / "README.md"
@@ -25,7 +25,7 @@ def example(heading: str) -> str:
 def test_the_policy_of_the_readme_runs(name: str, session: Callable[..., Any]) -> None:
     code = example("A policy").replace("trocar.serve(Lowers(), ", f'trocar.serve(Lowers(), "{name}", ')
     assert name in code
-    running = session("eval", "--task", "needle-lift", "--policy", f"external:{name}", "--trials", "1", *short())
+    running = session("eval", "--task", "needle-lift", "--policy", f"external:{name}", *PATIENT, "--trials", "1", *short())
     exec(compile(code, README, "exec"), {})
     exit_code, _, err = running.end()
     assert exit_code == 0, err

@@ -15,7 +15,7 @@ import iceoryx2 as iox2
 import numpy as np
 import pytest
 import trocar
-from conftest import SLOW_MOTION, short
+from conftest import PATIENT, SLOW_MOTION, short
 from trocar import messages
 from trocar.topics import Node
 
@@ -62,7 +62,7 @@ class Holds:
 
 
 def evaluation(name: str, *more: str, task: str = "needle-lift", trials: int = 2) -> list[str]:
-    policy = ["--policy", f"external:{name}", "--policy-timeout", "20"]
+    policy = ["--policy", f"external:{name}", *PATIENT]
     return ["eval", "--task", task, *policy, "--trials", str(trials), "--json", "-", *short(), *more]
 
 
@@ -235,7 +235,7 @@ class Chunked(Late):
 
 def test_chunks_may_overlap_as_real_time_chunking_has_it(name: str, session: Callable[..., Any]) -> None:
     newest = ["--set", "control.aggregation.mode=newest", "--latency-ms", "400"]
-    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", *newest, *short(3.0))
+    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", *PATIENT, *newest, *short(3.0))
     policy = Chunked()
     assert trocar.serve(policy, name, query_every=15, sessions=1) == 1
     _, _, err = running.end()
@@ -269,7 +269,7 @@ def test_rows_are_due_at_the_rate_that_they_are_served_with(
     fps: int, name: str, session: Callable[..., Any], tmp_path: Path
 ) -> None:
     log = tmp_path / "run.mcap"
-    delay = ["--latency-ms", "0", "--log", str(log)]
+    delay = [*PATIENT, "--latency-ms", "0", "--log", str(log)]
     running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", *delay, *short(2.0))
     policy = Rises()
     assert trocar.serve(policy, name, query_every=50, step_ns=1_000_000_000 // fps, sessions=1) == 1
@@ -285,7 +285,7 @@ def test_rows_are_due_at_the_rate_that_they_are_served_with(
 
 def test_what_is_left_over_is_due_at_the_policys_own_rate(name: str, session: Callable[..., Any]) -> None:
     """At 15 rows a second a query each 160 ms comes at row 2.4 of the answer before."""
-    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", *short(1.0))
+    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", *PATIENT, *short(1.0))
     policy = Rises()
     assert trocar.serve(policy, name, query_every=4, step_ns=1_000_000_000 // 15, sessions=1) == 1
     _, _, err = running.end()
@@ -296,6 +296,7 @@ def test_what_is_left_over_is_due_at_the_policys_own_rate(name: str, session: Ca
         np.testing.assert_allclose(left[:, 3:], rows[3:, 3:], atol=1e-12)
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("relative", [True, False], ids=["relative", "absolute"])
 def test_a_policy_may_answer_late_in_real_time(
     relative: bool, name: str, session: Callable[..., Any], tmp_path: Path
@@ -353,6 +354,7 @@ def test_a_policy_that_fails_ends_the_session_by_name(
     assert said in err and f'external policy "{name}"' in err and "Fails" in err
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("does", "said"),
     [
@@ -381,6 +383,7 @@ def test_a_policy_that_hangs_or_dies_is_named(
     assert said in err and f'external policy "{name}"' in err
 
 
+@pytest.mark.clock
 def test_a_policy_that_does_not_appear_is_named(name: str, session: Callable[..., Any]) -> None:
     running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", "--policy-timeout", "1")
     code, _, err = running.end()
@@ -452,6 +455,7 @@ def test_a_session_that_is_killed_is_noticed(name: str, session: Callable[..., A
     assert running.end()[0] < 0
 
 
+@pytest.mark.clock
 def test_in_real_time_it_takes_the_place_of_the_policy_process(
     name: str, session: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -470,6 +474,7 @@ def test_in_real_time_it_takes_the_place_of_the_policy_process(
     assert replayed[0] == 0, replayed
 
 
+@pytest.mark.clock
 def test_in_real_time_who_asks_is_said_to_a_policy_that_listens_late(name: str, session: Callable[..., Any]) -> None:
     """Once a session had heard a policy's hello, it repeated what to do and not who it was: one that missed that waited in vain."""
     running = session("run", "--task", "needle-lift", "--policy", f"external:{name}", "--policy-timeout", "20")
@@ -485,6 +490,7 @@ def test_in_real_time_who_asks_is_said_to_a_policy_that_listens_late(name: str, 
     assert said.pid == running.process.pid and said.task.text == "needle-lift"
 
 
+@pytest.mark.clock
 def test_a_failure_in_real_time_ends_the_run_by_name(name: str, session: Callable[..., Any]) -> None:
     running = session("run", "--task", "needle-lift", "--policy", f"external:{name}")
     with pytest.raises(RuntimeError):
@@ -494,6 +500,7 @@ def test_a_failure_in_real_time_ends_the_run_by_name(name: str, session: Callabl
     assert "the weights are gone" in out + err and name in out + err
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("does", "said"),
     [("time.sleep(600)", "has sent no heartbeat for"), ("os._exit(3)", "ended")],
@@ -525,7 +532,8 @@ def test_a_name_that_is_none_is_bad_usage(session: Callable[..., Any]) -> None:
 
 
 def test_what_gets_past_the_package_is_refused_by_the_gate(name: str, session: Callable[..., Any]) -> None:
-    running = session("run", "--task", "needle-lift", "--lockstep", "--policy", f"external:{name}", "--json", "-", *short())
+    policy = ["--policy", f"external:{name}", *PATIENT]
+    running = session("run", "--task", "needle-lift", "--lockstep", *policy, "--json", "-", *short())
     peer = trocar.Peer(name, query_every=5)
     while not isinstance(event := peer.wait(), trocar.Ended):
         if isinstance(event, trocar.Begins):
@@ -584,6 +592,7 @@ def test_a_reader_sees_the_writers_bytes_where_they_lie(name: str) -> None:
     assert mapped_from(begin).startswith("/dev/shm/")
 
 
+@pytest.mark.clock
 def test_a_frame_is_seen_with_the_arms_of_its_instant(name: str) -> None:
     """Its arms have been measured twice more by the time that it is drawn."""
     node = Node(name)
@@ -608,6 +617,7 @@ def test_a_frame_is_seen_with_the_arms_of_its_instant(name: str) -> None:
     assert peer.wait(0.1) is None
 
 
+@pytest.mark.clock
 def test_arms_are_seen_where_no_camera_can_be_drawn(
     name: str, session: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

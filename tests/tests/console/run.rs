@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use tests::{scratch, trocar};
 
-/// Nothing takes longer than this.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
+/// Nothing takes longer than this, also of what has only the processor time that others leave.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(300);
 
 /// How many times slower than the machine's the clocks of a run are that nobody moves by hand: a
 /// machine that is busy with tests beside it may keep it from its cores for so many times 50 ms
