@@ -53,17 +53,20 @@ fn mapped(position: vec3f) -> Mapped {
     return Mapped(vec2f(0.5 + 0.5 * ndc.x, 0.5 - 0.5 * ndc.y), ndc.z, clip.w, outside);
 }
 
-// Share of the light that is not in shadow: the mean of two taps, each of which blends four texels.
+// Share of the light that is not in shadow: the mean of four taps, each of which blends four texels.
 fn unshadowed(position: vec3f, normal: vec3f, distance: f32) -> f32 {
     let point = mapped(position + 2.0 * frame.shadow_texel_tan * distance * normal);
     if FINE {
         return soft_unshadowed(position, normal, distance, point);
     }
     let texel = frame.shadow_texel_tan / frame.shadow_window_tan * 0.5;
-    let wide = vec2f(0.9, 0.45) * texel;
+    let wide = vec2f(1.5, 0.7) * texel;
+    let across = vec2f(-wide.y, wide.x);
     let sum = textureSampleCompareLevel(shadow_map, shadow_sampler, point.at + wide, point.depth)
-        + textureSampleCompareLevel(shadow_map, shadow_sampler, point.at - wide, point.depth);
-    return select(0.5 * sum, 1.0, point.outside);
+        + textureSampleCompareLevel(shadow_map, shadow_sampler, point.at - wide, point.depth)
+        + textureSampleCompareLevel(shadow_map, shadow_sampler, point.at + across, point.depth)
+        + textureSampleCompareLevel(shadow_map, shadow_sampler, point.at - across, point.depth);
+    return select(0.25 * sum, 1.0, point.outside);
 }
 
 // Width of the light guide's end, and of the widest penumbra, m.
