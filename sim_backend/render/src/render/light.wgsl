@@ -53,12 +53,17 @@ fn mapped(position: vec3f) -> Mapped {
     return Mapped(vec2f(0.5 + 0.5 * ndc.x, 0.5 - 0.5 * ndc.y), ndc.z, clip.w, outside);
 }
 
-// Share of the light that is not in shadow: the mean of four taps, each of which blends four texels.
+// Share of the light that is not in shadow.
 fn unshadowed(position: vec3f, normal: vec3f, distance: f32) -> f32 {
     let point = mapped(position + 2.0 * frame.shadow_texel_tan * distance * normal);
     if FINE {
         return soft_unshadowed(position, normal, distance, point);
     }
+    return hard_unshadowed(point);
+}
+
+// The mean of four taps, each of which blends four texels.
+fn hard_unshadowed(point: Mapped) -> f32 {
     let texel = frame.shadow_texel_tan / frame.shadow_window_tan * 0.5;
     let wide = vec2f(1.5, 0.7) * texel;
     let across = vec2f(-wide.y, wide.x);
@@ -72,12 +77,14 @@ fn unshadowed(position: vec3f, normal: vec3f, distance: f32) -> f32 {
 // Width of the light guide's end, and of the widest penumbra, m.
 const GUIDE_M = 0.004;
 const PENUMBRA_M = 0.003;
-const TAPS = 24;
+// Taps that look for casters, and that blend a penumbra.
+const SEARCH_TAPS = 12;
+const TAPS = 20;
 
-// Point `index` of TAPS that fill the unit disc evenly (Vogel 1979).
-fn in_disc(index: i32) -> vec2f {
+// Point `index` of `count` that fill the unit disc evenly (Vogel 1979).
+fn in_disc(index: i32, count: i32) -> vec2f {
     let turn = 2.39996323 * f32(index);
-    return sqrt((f32(index) + 0.5) / f32(TAPS)) * vec2f(cos(turn), sin(turn));
+    return sqrt((f32(index) + 0.5) / f32(count)) * vec2f(cos(turn), sin(turn));
 }
 
 // The same of a light of the width GUIDE_M: the penumbra is GUIDE_M times the distance from caster to receiver over that from
@@ -94,23 +101,27 @@ fn soft_unshadowed(position: vec3f, normal: vec3f, distance: f32, point: Mapped)
     let lifted = mapped(position + 0.5 * PENUMBRA_M * normal);
     var casters = 0.0;
     var casters_m = 0.0;
-    for (var index = 0; index < TAPS; index++) {
-        let texel = vec2i((lifted.at + search * in_disc(index)) * side);
+    for (var index = 0; index < SEARCH_TAPS; index++) {
+        let texel = vec2i((lifted.at + search * in_disc(index, SEARCH_TAPS)) * side);
         let depth = textureLoad(shadow_map, texel, 0);
         if depth < lifted.depth {
             casters += 1.0;
             casters_m += SHADOW_NEAR_M * SHADOW_FAR_M / (SHADOW_FAR_M - depth * (SHADOW_FAR_M - SHADOW_NEAR_M));
         }
     }
-    let caster_m = casters_m / max(casters, 1.0);
+    if casters == 0.0 {
+        // In the open, or right under what it touches, where there is no penumbra.
+        return hard_unshadowed(point);
+    }
+    let caster_m = casters_m / casters;
     let penumbra_m = GUIDE_M * max(point.ahead_m - caster_m, 0.0) / max(caster_m, SHADOW_NEAR_M);
     // Of one texel and a half at least, or its steps are seen.
     let texel_m = frame.shadow_texel_tan * point.ahead_m;
-    let radius_m = select(clamp(0.5 * penumbra_m, 1.5 * texel_m, 0.5 * PENUMBRA_M), 1.5 * texel_m, casters == 0.0);
+    let radius_m = clamp(0.5 * penumbra_m, 1.5 * texel_m, 0.5 * PENUMBRA_M);
     let receiver = mapped(position + (2.0 * frame.shadow_texel_tan * distance + 0.5 * radius_m) * normal);
     var sum = 0.0;
     for (var index = 0; index < TAPS; index++) {
-        let at = receiver.at + radius_m * per_m * in_disc(index);
+        let at = receiver.at + radius_m * per_m * in_disc(index, TAPS);
         sum += textureSampleCompareLevel(shadow_map, shadow_sampler, at, receiver.depth);
     }
     return sum / f32(TAPS);
