@@ -96,7 +96,7 @@ fn vessel_net(p: vec2f, size: f32, width: f32, seed: i32) -> f32 {
     return smoothstep(0.0, 0.30, taper) * (1.0 - smoothstep(0.30 * thick, thick + 0.05, border));
 }
 
-// Fluid that runs down a wet surface along wandering lines: ridges some `size` mm apart and several times as long; 0 to 1.
+// Rivulets of the film of fluid along wandering lines, whatever way is down: some `size` mm apart and several times as long; 0 to 1.
 fn flow(p: vec2f, size: f32, seed: i32) -> f32 {
     let wander = vec2f(swell(p / 19.0, seed) - 0.5, swell(p / 19.0, seed + 5) - 0.5);
     let q = p + 14.0 * wander;

@@ -59,11 +59,11 @@ fn unshadowed(position: vec3f, normal: vec3f, distance: f32) -> f32 {
     if FINE {
         return soft_unshadowed(position, normal, distance, point);
     }
-    return hard_unshadowed(point);
+    return filtered_unshadowed(point);
 }
 
-// The mean of four taps, each of which blends four texels.
-fn hard_unshadowed(point: Mapped) -> f32 {
+// Percentage-closer filtering: the mean of four taps, each of which blends four texels.
+fn filtered_unshadowed(point: Mapped) -> f32 {
     let texel = frame.shadow_texel_tan / frame.shadow_window_tan * 0.5;
     let wide = vec2f(1.5, 0.7) * texel;
     let across = vec2f(-wide.y, wide.x);
@@ -77,7 +77,7 @@ fn hard_unshadowed(point: Mapped) -> f32 {
 // Width of the light guide's end, and of the widest penumbra, m.
 const GUIDE_M = 0.004;
 const PENUMBRA_M = 0.003;
-// Taps that look for casters, and that blend a penumbra.
+// Taps of the blocker search, and those that blend a penumbra.
 const SEARCH_TAPS = 12;
 const TAPS = 20;
 
@@ -111,7 +111,7 @@ fn soft_unshadowed(position: vec3f, normal: vec3f, distance: f32, point: Mapped)
     }
     if casters == 0.0 {
         // In the open, or right under what it touches, where there is no penumbra.
-        return hard_unshadowed(point);
+        return filtered_unshadowed(point);
     }
     let caster_m = casters_m / casters;
     let penumbra_m = GUIDE_M * max(point.ahead_m - caster_m, 0.0) / max(caster_m, SHADOW_NEAR_M);

@@ -412,7 +412,8 @@ mod tests {
         }
     }
 
-    /// Each edge of a triangle is one of another triangle the other way round.
+    /// Each edge of a triangle is one of another triangle the other way round. A pad without room for
+    /// rounding has edges that end amid others, and is not asked.
     #[test]
     fn a_cast_is_closed() {
         for pad in [shipped(), SMALLEST] {
