@@ -23,9 +23,9 @@ demo: build
 # Integration tests that read no clock: lockstep, files, arithmetic.
 CLOCKLESS := anatomy architecture bad_input can_fuzz can_refusals can_sync command_line compute conformance determinism ensembling evaluation golden hostile import lockstep master no_alloc peer recording scene_file task_folder training views
 
-# Of the tests in other files those that read none, by parts of their names: the console on logs, datasets and recordings by the expert, and
-# examples in lockstep.
-REPLAYED := dataset:: log:: replayed:: foxglove::foxglove_is_told_a_log browser::the_page_follows_a_recording recorded::a_recording_tells
+# Of the tests in the files console and examples those that read none, by parts of their names: the console on logs, datasets and recordings
+# by the expert, and examples in lockstep.
+REPLAYED := dataset:: log:: replayed:: browser::the_page_follows_a_recording recorded::a_recording_tells
 CLOCKLESS_PARTS := in_lockstep:: $(REPLAYED)
 
 # Unit tests that read a clock.
@@ -71,7 +71,8 @@ test-units: setup
 # In real time, at half speed.
 test-clocked: setup checked
 	$(CARGO) test -p trocar --lib $(CLOCKED)
-	SKIP="$(CLOCKLESS) study" TROCAR_SLOW_MOTION=2 $(CARGO) test --workspace --test '*' --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/unless"]' -- $(CLOCKLESS_PARTS:%=--skip %)
+	SKIP="$(CLOCKLESS) study console examples" TROCAR_SLOW_MOTION=2 $(CARGO) test --workspace --test '*' --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/unless"]'
+	TROCAR_SLOW_MOTION=2 $(CARGO) test --workspace --test console --test examples -- $(CLOCKLESS_PARTS:%=--skip %)
 
 test-clockless: setup checked
 	$(CARGO) test --workspace $(CLOCKLESS:%=--test %)
@@ -93,8 +94,11 @@ test-adversary: setup
 test-can: setup setup-can checked
 	$(CARGO) test --workspace --test can_bus --config 'target."cfg(all())".runner=["$(CURDIR)/.ci/on-vcan"]' -- --ignored
 
-# The Python package: types, and its policies and environments in a virtual environment in target/python.
-test-python: test-python-clockless test-python-clocked
+# The Python package: types, and its policies and environments in a virtual environment in target/python. One
+# half after the other, whatever -j says.
+test-python:
+	$(MAKE) test-python-clockless
+	$(MAKE) test-python-clocked
 
 # What runs in real time, or waits until a time is over.
 test-python-clocked: setup setup-python checked
@@ -118,8 +122,10 @@ test-study: setup setup-browser checked
 	$(CARGO) test --workspace --test study -- --include-ignored
 
 # The web console in a browser: it shows and steers a run, comes back after a cut, fits its window; pictures of it in target/scratch. One
-# of its tests at a time: hands that come late are let go.
-test-console: test-console-replayed test-console-live
+# of its tests at a time, whatever -j says: hands that come late are let go.
+test-console:
+	$(MAKE) test-console-replayed
+	$(MAKE) test-console-live
 
 test-console-live: setup setup-browser checked
 	$(CARGO) test --workspace --test console -- --ignored --test-threads=1 $(REPLAYED:%=--skip %)

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import textwrap
 import uuid
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -22,6 +22,19 @@ SLOW_MOTION = 2
 
 #: For how long a session without a clock waits for its policy.
 PATIENT = ["--policy-timeout", "240"]
+
+#: For how long this process then waits for its session, s.
+PATIENT_S = {"trocar.server._LINGER_S": 300.0, "trocar.env._BEGIN_S": 600.0, "trocar.env._END_S": 600.0}
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """A test without a clock waits longer for its session, in fixtures of its module as well."""
+    with pytest.MonkeyPatch.context() as patch:
+        if item.get_closest_marker("clock") is None:
+            for limit, seconds in PATIENT_S.items():
+                patch.setattr(limit, seconds)
+        return (yield)
 
 
 @pytest.fixture(autouse=True)
@@ -68,11 +81,14 @@ class Session:
 
 
 @pytest.fixture
-def session(binary: str) -> Iterator[type]:
-    """Starts sessions, none of which outlives the test."""
+def session(binary: str, request: pytest.FixtureRequest) -> Iterator[type]:
+    """Starts sessions, none of which outlives the test. Only a test with the marker `clock` has runs in real time."""
     begun: list[Session] = []
+    clock = request.node.get_closest_marker("clock") is not None
 
     def start(*arguments: str) -> Session:
+        if arguments[0] == "run" and "--lockstep" not in arguments and not clock:
+            pytest.fail("a run in real time: mark the test with `pytest.mark.clock`, or give the run --lockstep")
         begun.append(Session(binary, list(arguments)))
         return begun[-1]
 

@@ -103,6 +103,16 @@ def test_an_episode_can_be_left_and_begun_again(make: Any) -> None:
         env.step(env.action_space.sample())
 
 
+def test_an_end_that_is_not_said_is_no_later_episodes(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    env = make()
+    env.reset(seed=9)
+    monkeypatch.setattr(env._child, "line", lambda timeout_s: None)
+    with pytest.raises(RuntimeError, match="the end of the episode before was not said"):
+        env.reset(seed=5)
+    tips, _ = episode(env, 5)
+    assert len(tips) == 26
+
+
 def test_the_tip_goes_where_it_is_told(make: Any) -> None:
     env = make(control="absolute", seconds=3.0)
     observation, _ = env.reset(seed=1)

@@ -5,7 +5,7 @@ use serde_json::Value;
 use tests::scratch;
 
 use crate::devtools::{Browser, Proxy};
-use crate::run::{SLOW_MOTION, Served};
+use crate::run::{SLOW_MOTION, Served, UNPACED};
 
 /// Texts and placeholders whose contrast with what is behind them is below WCAG's AA (4.5, or 3
 /// where they are large), and fields and ends of meters whose borders' contrast with either side is
@@ -323,8 +323,8 @@ fn the_page_opens_beyond_loopback() {
     assert_eq!(browser.errors, Vec::<String>::new());
 }
 
-/// The expert records by itself: the page says how far it is, and shows an episode. There are enough
-/// for a browser that begins late.
+/// The expert records by itself: the page says how far it is, and shows an episode. The browser is
+/// there before, and there are enough for a page that is loaded late.
 #[test]
 #[ignore = "needs chromium: `make test-console` runs it"]
 fn the_page_follows_a_recording() {
@@ -341,8 +341,9 @@ fn the_page_follows_a_recording() {
     ];
     let more = ["--console", "127.0.0.1:0"];
     let to = ["--out", out.to_str().unwrap()];
-    let mut served = Served::start_at(&folder, &[&words[..], &more, &to].concat(), 1);
-    let mut browser = Browser::open("console-browser-record-profile", &served.url());
+    let mut browser = Browser::open("console-browser-record-profile", "about:blank");
+    let mut served = Served::start_at(&folder, &[&words[..], &more, &to].concat(), UNPACED);
+    browser.visit(&served.url());
     browser.look(1280, "light");
     browser.wait_until("document.querySelector('#attempts li')?.dataset.kept === 'true'");
     browser.wait_until(PICTURE);

@@ -44,6 +44,7 @@ fn all_episodes_of_a_dataset_are_looked_through() {
     let data = recorded("console-dataset-made", "needle-lift");
     let read = Dataset::open(&data).unwrap();
     let mut served = Served::start("console-dataset", &["replay", data.to_str().unwrap()]);
+    looks_at_its_scene(&served);
     let mut page = Page::open(&served);
     let facts = page.wait_for("facts", |_| true);
     assert_eq!(
@@ -55,7 +56,6 @@ fn all_episodes_of_a_dataset_are_looked_through() {
     assert_eq!(episodes.len(), 2);
     let depth = facts["depth"].as_array().unwrap();
     assert_eq!(depth.len(), read.camera_names().len());
-    looks_at_its_scene(&served, &facts);
     page.say(&json!({ "show": [[0, "colour"], [0, "ids"]] }));
     for (index, told) in episodes.iter().enumerate() {
         let episode = read.episodes()[index];
@@ -102,8 +102,7 @@ fn all_episodes_of_a_dataset_are_looked_through() {
 
 /// Ground, cameras and limits are those of the task, the instrument is where it was measured in
 /// each frame, and the needle is not there: where it was is not in the dataset.
-fn looks_at_its_scene(served: &Served, facts: &Value) {
-    assert_eq!(facts["scene"], true);
+fn looks_at_its_scene(served: &Served) {
     let (host, cookie) = (served.host(), served.cookie());
     let headers = [("Host", host.as_str()), ("Cookie", cookie.as_str())];
     let scene = served.get("/scene.glb", &headers);
@@ -118,7 +117,8 @@ fn looks_at_its_scene(served: &Served, facts: &Value) {
         assert_eq!(scene.contains(&named), is_there, "{part}");
     }
     let mut page = Page::open(served);
-    page.wait_for("facts", |_| true);
+    let facts = page.wait_for("facts", |_| true);
+    assert_eq!(facts["scene"], true);
     page.say(&json!({ "open": 0 }));
     page.say(&json!({ "show": [[255, "colour"]] }));
     let places = [0.0, 1.0].map(|at| {

@@ -100,8 +100,13 @@ impl Browser {
             "Security.setIgnoreCertificateErrors",
             &json!({ "ignore": true }),
         );
-        browser.call("Page.navigate", &json!({ "url": url }));
+        browser.visit(url);
         browser
+    }
+
+    /// Opens `url` in place of what is shown.
+    pub(crate) fn visit(&mut self, url: &str) {
+        self.call("Page.navigate", &json!({ "url": url }));
     }
 
     /// Calls a method of the protocol.

@@ -361,7 +361,7 @@ fn foxglove_sees_the_flap_bend() {
 fn foxglove_is_told_a_log_where_a_page_looks() {
     let log = made_log("foxglove-log-made", "needle-lift");
     let words = ["replay", log.to_str().unwrap(), "--foxglove", "127.0.0.1:0"];
-    let served = Served::start("foxglove-log", &words);
+    let served = Served::start_slow("foxglove-log", &words, 2);
     let mut socket = Shown::open(served.viewer.as_deref().unwrap(), None).unwrap();
     let topics = subscribe(&mut socket);
     for wanted in ["/psm1/tick", "/policy/chunk", "/camera/endoscope/pose"] {

@@ -17,6 +17,10 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(300);
 /// until it lacks a measurement and ends.
 pub(crate) const SLOW_MOTION: u64 = 4;
 
+/// The same of what no clock paces, such as a log that is looked through: a page of which a console
+/// hears nothing for 10 s of its clock is disconnected, and a test may wait for a processor longer.
+pub(crate) const UNPACED: u64 = 20;
+
 /// Setting for pictures whose colours do not matter, as they are drawn sooner.
 pub(crate) const PLAIN: &str = "scene.rendering.shading=plain";
 
@@ -88,9 +92,9 @@ impl Served {
         Self::start_slow(test, &words.collect::<Vec<_>>(), SLOW_MOTION)
     }
 
-    /// `trocar WORDS --console` at a free port.
+    /// `trocar WORDS --console` at a free port; no clock paces it.
     pub(crate) fn start(test: &str, words: &[&str]) -> Self {
-        Self::start_slow(test, words, 2)
+        Self::start_slow(test, words, UNPACED)
     }
 
     /// The same, whose clocks are so many times slower than the machine's.

@@ -61,14 +61,14 @@ fn a_run_in_lockstep_that_is_interrupted_closes_its_log() {
         "noop",
         "--lockstep",
     ];
-    let (code, result) = interrupted(&run, "command_line_lockstep", &[]);
+    let (code, result) = interrupted(&run, "realtime-lockstep", &[]);
     assert_eq!((code, &result["reason"]), (Some(1), &"interrupted".into()));
 }
 
 #[test]
 fn two_signals_at_once_lead_the_arm_to_rest_as_one_does() {
     let _turn = alone();
-    let (code, result) = interrupted(&MOVING, "command_line_twice", &[20]);
+    let (code, result) = interrupted(&MOVING, "realtime-twice", &[20]);
     assert_eq!((code, &result["reason"]), (Some(1), &"interrupted".into()));
 }
 
@@ -93,7 +93,7 @@ fn expect_ended_by_signal(child: &mut Child) {
 #[test]
 fn a_third_signal_in_motion_ends_the_run_at_once() {
     let _turn = alone();
-    let folder = scratch("command_line_thrice");
+    let folder = scratch("realtime-thrice");
     let (log, result) = (folder.join("a.mcap"), folder.join("a.json"));
     let mut child = enabled(&MOVING, &log, &result);
     for _ in 0..3 {
@@ -111,7 +111,7 @@ fn a_third_signal_in_motion_ends_the_run_at_once() {
 #[test]
 fn a_second_signal_after_rest_ends_the_run_at_once() {
     let _turn = alone();
-    let folder = scratch("command_line_after_rest");
+    let folder = scratch("realtime-after-rest");
     let (log, result) = (folder.join("a.mcap"), folder.join("result"));
     let made = Command::new("mkfifo").arg(&result).status();
     assert!(made.unwrap().success());

@@ -171,7 +171,10 @@ class TrocarEnv(gym.Env[dict[str, Any], NDArray[Any]]):
         if self._pending:
             self._pending = False
             peer.abandon()
-            child.line(_END_S)
+            # Said later, it would be taken for the end of the next.
+            if child.line(_END_S) is None:
+                self._child = self._peer = None
+                raise SessionFailed(f"the end of the episode before was not said within {_END_S:.0f} s: {child.last_words()}")
         child.begin(episode)
         self._await(Begins)
         peer.ready()
@@ -328,7 +331,8 @@ class _Child:
         self._said.seek(0)
         said = self._said.read().decode(errors="replace").strip()
         self.end()
-        return f"the session has ended with exit code {code}: {said or 'it said nothing'}"
+        state = "does not end" if code is None else f"has ended with exit code {code}"
+        return f"the session {state}: {said or 'it said nothing'}"
 
     def end(self) -> None:
         if self._process.stdin is not None:

@@ -20,7 +20,7 @@ pub(super) struct State {
     seconds: f64,
     /// For how long the control loop has said nothing new, s.
     silent_s: f64,
-    pub(super) arms: Vec<ArmStatus>,
+    pub(super) arms: Vec<ArmReadout>,
     filter: Filter,
     counts: Counted,
     timing: Timing,
@@ -47,7 +47,7 @@ pub(super) struct State {
 
 /// One arm, in joint order with the jaw last: rad, m, rad/s, m/s.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct ArmStatus {
+pub(super) struct ArmReadout {
     name: &'static str,
     state: &'static str,
     homed: bool,
@@ -134,7 +134,7 @@ impl State {
         let Sample { record, counts } = sample;
         let (missing, criteria) = task.map(|task| (task.missing, task.criteria)).unzip();
         let arms = ARM_NAMES.into_iter().zip(record.arms.iter());
-        let arms: Vec<_> = arms.map(|(name, arm)| arm_status(name, arm)).collect();
+        let arms: Vec<_> = arms.map(|(name, arm)| arm_readout(name, arm)).collect();
         Self {
             kind: "state",
             seconds: seconds(record.tick),
@@ -188,11 +188,11 @@ impl State {
     }
 }
 
-fn arm_status(name: &'static str, arm: &ArmRecord) -> ArmStatus {
+fn arm_readout(name: &'static str, arm: &ArmRecord) -> ArmReadout {
     let report = &arm.report;
     let measured = arm.measured.as_ref().ok();
     let (commanded, commanded_velocity) = commanded(&arm.command);
-    ArmStatus {
+    ArmReadout {
         name,
         state: report.mode.state.name(),
         homed: report.mode.homed,
