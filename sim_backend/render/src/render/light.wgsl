@@ -142,6 +142,11 @@ fn fresnel(cosine: f32, f0: vec3f) -> vec3f {
     return f0 + (vec3f(1.0) - f0) * (x2 * x2 * x);
 }
 
+// How much of the mirror at grazing angles is left: a wet surface is not level over a pixel at its silhouette.
+fn grazing(cosine: f32, f0: vec3f, flesh: f32) -> vec3f {
+    return mix(fresnel(cosine, f0), min(fresnel(cosine, f0), vec3f(0.30)), flesh);
+}
+
 // What a mirror sees: the lit scene below, a dim cavity above, the glow of the light guide, and a dark gap between.
 fn surroundings(direction: vec3f, beam: Beam, roughness: f32) -> vec3f {
     let height = dot(direction, frame.up);
@@ -196,7 +201,11 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     }
     let h = normalize(v + l);
     let roughness = clamp(s.roughness, 0.08, 1.0);
-    let f0 = mix(vec3f(0.04), s.base_colour, s.metallic);
+    var f0 = mix(vec3f(0.04), s.base_colour, s.metallic);
+    if FINE {
+        // Flesh under a film of water hardly mirrors: their refractive indices are 1.38 and 1.33.
+        f0 = mix(f0, vec3f(0.004), min(2.0 * s.wetness, 1.0) * (1.0 - s.metallic));
+    }
     let v_h = max(dot(v, h), 0.0);
     let n_v = max(dot(s.normal, v), 1e-3);
     let body = fresnel(v_h, f0) * glint(max(n_l, 0.0), n_v, max(dot(s.normal, h), 0.0), roughness);
@@ -207,7 +216,7 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     var film_shine = glint(film_n_l, film_n_v, film_n_h, 0.21);
     if FINE {
         // Where it is thin it is rough as what it lies on.
-        film_shine = 0.70 * glint(film_n_l, film_n_v, film_n_h, 0.15) + 0.30 * glint(film_n_l, film_n_v, film_n_h, 0.42);
+        film_shine = 0.80 * glint(film_n_l, film_n_v, film_n_h, 0.15) + 0.20 * glint(film_n_l, film_n_v, film_n_h, 0.38);
     }
     let film = s.wetness * fresnel(v_h, film_f0) * film_shine;
     let through = 1.0 - s.wetness * fresnel(film_n_v, film_f0).x;
@@ -222,8 +231,13 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     // Where the beam does not reach, what it lights nearby shines less.
     let near = 0.55 + 0.45 * beam.lit;
     let mirror = surroundings(reflect(-v, s.normal), beam, roughness);
-    let gloss = fresnel(n_v, f0) * (1.0 - 0.35 * roughness);
-    let sheen = s.wetness * fresnel(film_n_v, film_f0) * surroundings(reflect(-v, s.film_normal), beam, 0.2);
+    var gloss = fresnel(n_v, f0) * (1.0 - 0.35 * roughness);
+    var mirrored = fresnel(film_n_v, film_f0);
+    if FINE {
+        gloss = grazing(n_v, f0, s.flesh) * (1.0 - 0.35 * roughness);
+        mirrored = grazing(film_n_v, film_f0, s.flesh);
+    }
+    let sheen = s.wetness * mirrored * surroundings(reflect(-v, s.film_normal), beam, 0.2);
     return direct + near * s.open * (frame.ambient * albedo * sky * through + mirror * gloss * through + sheen);
 }
 

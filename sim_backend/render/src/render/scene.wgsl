@@ -72,13 +72,14 @@ struct Object {
 
 struct Varying {
     @builtin(position) @invariant clip: vec4f,
-    @location(0) position: vec3f,
-    @location(1) object_position: vec3f,
-    @location(2) object_normal: vec3f,
+    // At the centroid, or pixels that a silhouette crosses would be shaded beyond it.
+    @interpolate(perspective, centroid) @location(0) position: vec3f,
+    @interpolate(perspective, centroid) @location(1) object_position: vec3f,
+    @interpolate(perspective, centroid) @location(2) object_normal: vec3f,
     // Where on its surface the point is, m; it stays the same when the surface is deformed.
-    @location(3) unrolled: vec2f,
+    @interpolate(perspective, centroid) @location(3) unrolled: vec2f,
     // How open it is to the light from all around, and how much light comes through it.
-    @location(4) baked: vec2f,
+    @interpolate(perspective, centroid) @location(4) baked: vec2f,
 }
 
 @vertex
