@@ -191,7 +191,8 @@ fn a_fine_shadow_of_a_higher_caster_has_a_wider_edge() {
             [Shading::Full, Shading::Fine].map(|shading| half_lit(shading, height_m));
         fine as f64 / full as f64
     });
-    assert!(high > 2.0 && low < 1.5, "{low} {high}");
+    // Against the edges of full shading, which are four taps wide whatever casts them.
+    assert!(high > 1.6 && high > 2.5 * low && low < 1.5, "{low} {high}");
 }
 
 #[test]
