@@ -53,8 +53,8 @@ function place(mark, value, low, high) {
   mark.hidden = value === null || value === undefined;
   if (mark.hidden) return;
   const share = Math.min(1, Math.max(0, (value - low) / (high - low)));
-  // The style is set by script, which the content security policy allows, unlike a style attribute.
-  mark.style.left = `${(100 * share).toFixed(2)}%`;
+  // The style is set by script, which the content security policy allows, unlike a style attribute. A mark at an end stays inside.
+  mark.style.left = `clamp(1.5px, ${(100 * share).toFixed(2)}%, 100% - 1.5px)`;
 }
 
 export class Panels {
