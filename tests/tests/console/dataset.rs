@@ -103,6 +103,10 @@ fn all_episodes_of_a_dataset_are_looked_through() {
 /// Ground, cameras and limits are those of the task, the instrument is where it was measured in
 /// each frame, and the needle is not there: where it was is not in the dataset.
 fn looks_at_its_scene(served: &Served) {
+    let mut page = Page::open(served);
+    // The scene is there once a page is told of it.
+    let facts = page.wait_for("facts", |_| true);
+    assert_eq!(facts["scene"], true);
     let (host, cookie) = (served.host(), served.cookie());
     let headers = [("Host", host.as_str()), ("Cookie", cookie.as_str())];
     let scene = served.get("/scene.glb", &headers);
@@ -116,9 +120,6 @@ fn looks_at_its_scene(served: &Served) {
         let named = format!("\"name\":\"{part}\"");
         assert_eq!(scene.contains(&named), is_there, "{part}");
     }
-    let mut page = Page::open(served);
-    let facts = page.wait_for("facts", |_| true);
-    assert_eq!(facts["scene"], true);
     page.say(&json!({ "open": 0 }));
     page.say(&json!({ "show": [[255, "colour"]] }));
     let places = [0.0, 1.0].map(|at| {
