@@ -90,12 +90,12 @@ pub enum Shading {
     /// For pictures that people look at: edges smoothed over the pixel, a film that is rougher
     /// where it is thin, light that comes through thin tissue, hollows that the light from all
     /// around does not reach (both baked by rays when it is chosen first). A software rasteriser
-    /// takes 4.9 times as long (143 and 29 ms a frame, `tests/benches/RESULTS.md`).
+    /// takes 3.4 times as long (98 and 29 ms a frame, `tests/benches/RESULTS.md`).
     ///
     /// Shadows have penumbras (percentage-closer soft shadows, R. Fernando, 2005) of a light guide
     /// of 4 mm: they grow with the height of the caster over the surface, up to 3 mm wide.
     Fine,
-    /// Painted colours in the same light without any of these, in 0.57 of the time (17 and 29 ms).
+    /// Painted colours in the same light without any of these, in 0.67 of the time (19 and 29 ms).
     Plain,
 }
 
