@@ -142,9 +142,13 @@ fn fresnel(cosine: f32, f0: vec3f) -> vec3f {
     return f0 + (vec3f(1.0) - f0) * (x2 * x2 * x);
 }
 
-// How much of the mirror at grazing angles is left: a wet surface is not level over a pixel at its silhouette.
-fn grazing(cosine: f32, f0: vec3f, flesh: f32) -> vec3f {
-    return mix(fresnel(cosine, f0), min(fresnel(cosine, f0), vec3f(0.30)), flesh);
+// What share of its surroundings a surface mirrors: of flesh a bounded one, whose film is not level over a pixel at its silhouette.
+fn mirrored(cosine: f32, f0: vec3f, flesh: f32) -> vec3f {
+    let level = fresnel(cosine, f0);
+    if FINE {
+        return mix(level, min(level, vec3f(0.30)), flesh);
+    }
+    return level;
 }
 
 // What a mirror sees: the lit scene below, a dim cavity above, the glow of the light guide, and a dark gap between.
@@ -231,13 +235,8 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     // Where the beam does not reach, what it lights nearby shines less.
     let near = 0.55 + 0.45 * beam.lit;
     let mirror = surroundings(reflect(-v, s.normal), beam, roughness);
-    var gloss = fresnel(n_v, f0) * (1.0 - 0.35 * roughness);
-    var mirrored = fresnel(film_n_v, film_f0);
-    if FINE {
-        gloss = grazing(n_v, f0, s.flesh) * (1.0 - 0.35 * roughness);
-        mirrored = grazing(film_n_v, film_f0, s.flesh);
-    }
-    let sheen = s.wetness * mirrored * surroundings(reflect(-v, s.film_normal), beam, 0.2);
+    let gloss = mirrored(n_v, f0, s.flesh) * (1.0 - 0.35 * roughness);
+    let sheen = s.wetness * mirrored(film_n_v, film_f0, s.flesh) * surroundings(reflect(-v, s.film_normal), beam, 0.2);
     return direct + near * s.open * (frame.ambient * albedo * sky * through + mirror * gloss * through + sheen);
 }
 

@@ -65,9 +65,8 @@ pub struct Surface {
 #[derive(Clone, Copy, Debug)]
 struct Follow {
     along: [Weights; 2],
-    /// How far behind the first row it is, m, and the radius with which the root bends there, m.
+    /// How far behind the first row it is, m.
     behind_m: f64,
-    root_radius_m: f64,
 }
 
 /// Four nodes along one axis, their weights for the place and for its derivative per node.
@@ -90,7 +89,7 @@ impl Surface {
         let follow = (0..points[1]).flat_map(|row| {
             (0..points[0]).map(move |column| {
                 let at_m = outline.place(points, [column, row]);
-                Follow::at(nodes, sheet.spacing_m, at_m, outline.root_radius_m)
+                Follow::at(nodes, sheet.spacing_m, at_m)
             })
         });
         let follow: Vec<Follow> = follow.collect();
@@ -132,7 +131,7 @@ impl Surface {
         self.sheet.copy_from_slice(positions);
         let whole = self.follow.len();
         for here in 0..whole {
-            let Point { at: middle, up, .. } = self.follow[here].of(self.nodes[0], &self.sheet);
+            let Point { at: middle, up, .. } = self.point(&self.follow[here]);
             let offset = up * self.outline.half_thickness_m;
             self.middle[here] = (middle, up);
             self.set(here, &(middle + offset), &up);
@@ -165,14 +164,17 @@ impl Surface {
             beyond_m,
             out,
         } = self.outline.hold(at_m);
-        let radius_m = self.outline.root_radius_m;
-        let follow = Follow::at(self.nodes, self.spacing_m, at_m, radius_m);
-        let point = follow.of(self.nodes[0], &self.sheet);
+        let point = self.point(&Follow::at(self.nodes, self.spacing_m, at_m));
         let half_m = self.outline.half_thickness_m;
         let (sin, cos) = (beyond_m / half_m).min(FRAC_PI_2).sin_cos();
         let aside = unit(point.along[0]) * out[0] + unit(point.along[1]) * out[1];
         let normal = point.up * cos + aside * sin;
         (point.at + normal * half_m, normal)
+    }
+
+    /// Where a point is now.
+    fn point(&self, follow: &Follow) -> Point {
+        follow.of(self.nodes[0], self.outline.root_radius_m, &self.sheet)
     }
 
     fn set(&mut self, vertex: usize, position: &Vector3<f64>, normal: &Vector3<f64>) {
@@ -193,16 +195,16 @@ struct Point {
 
 impl Follow {
     /// The point at the material coordinates `at_m`, m.
-    fn at(nodes: [usize; 2], spacing_m: [f64; 2], at_m: [f64; 2], root_radius_m: f64) -> Self {
+    fn at(nodes: [usize; 2], spacing_m: [f64; 2], at_m: [f64; 2]) -> Self {
         Self {
             along: [0, 1].map(|axis| Weights::at(nodes[axis], at_m[axis] / spacing_m[axis])),
             behind_m: (-at_m[1]).max(0.0),
-            root_radius_m,
         }
     }
 
-    /// Where it is with the nodes at `positions`, `columns` a row.
-    fn of(&self, columns: usize, positions: &[Vector3<f64>]) -> Point {
+    /// Where it is with the nodes at `positions`, `columns` a row, and a root that bends down with
+    /// `root_radius_m`.
+    fn of(&self, columns: usize, root_radius_m: f64, positions: &[Vector3<f64>]) -> Point {
         let [u, v] = &self.along;
         let [mut at, mut along_u, mut along_v] = [Vector3::zeros(); 3];
         for (row, (place_v, derivative_v)) in v.nodes.iter().zip(v.place.iter().zip(&v.derivative))
@@ -221,7 +223,7 @@ impl Follow {
         let mut up = unit(along_u.cross(&along_v));
         if self.behind_m > 0.0 {
             // The root bends down about an axis along u.
-            let steep = self.behind_m / self.root_radius_m;
+            let steep = self.behind_m / root_radius_m;
             at -= up * (0.5 * self.behind_m * steep);
             up = unit(up - unit(along_v) * steep);
         }
