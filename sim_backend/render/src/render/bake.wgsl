@@ -83,17 +83,10 @@ fn cells(p: vec2f, seed: i32) -> vec3f {
     return nearest;
 }
 
-// Vessels of one size: the borders of cells of `size` mm, bent, in places; `width` in mm, which tapers until nothing is left where a vessel
-// ends. Their borders fade where the light falls through.
-fn vessel_net(p: vec2f, size: f32, width: f32, seed: i32) -> f32 {
-    let far = size * 0.55;
-    let bend = far * vec2f(swell(p / (1.3 * size), seed) - 0.5, swell(p / (1.3 * size), seed + 7) - 0.5)
-        + 0.16 * size * vec2f(noise(p / (0.24 * size), seed + 14) - 0.5, noise(p / (0.24 * size), seed + 15) - 0.5);
-    let cell = cells((p + 1.35 * bend) / size, seed + 20);
-    let border = 0.5 * size * (cell.y - cell.x);
-    let taper = smoothstep(0.40, 0.74, swell(p / (2.2 * size), seed + 31));
-    let thick = width * taper * (1.0 + 1.3 * noise(p / (0.9 * size), seed + 30));
-    return smoothstep(0.0, 0.30, taper) * (1.0 - smoothstep(0.30 * thick, thick + 0.05, border));
+// What is seen of the vessels at a texel, see `vessels.wgsl`: some lie deeper than others, and are seen less.
+fn vessels(p: vec2f, at: vec2i) -> vec3f {
+    let near = 0.45 + 0.55 * smoothstep(0.36, 0.58, swell(p / 15.0, 31));
+    return near * textureLoad(source_albedo, at, 0).rgb;
 }
 
 // Rivulets of the film of fluid along wandering lines, whatever way is down: some `size` mm apart and several times as long; 0 to 1.
@@ -107,11 +100,16 @@ fn flow(p: vec2f, size: f32, seed: i32) -> f32 {
 
 // Light that is taken away by blood in vessels `share` deep.
 fn bled(colour: vec3f, share: f32, deep: f32) -> vec3f {
-    return colour * exp(-share * mix(vec3f(0.55, 2.3, 2.0), vec3f(1.25, 1.9, 1.05), deep));
+    return colour * exp(-share * mix(vec3f(0.50, 2.0, 1.8), vec3f(1.15, 1.75, 1.0), deep));
+}
+
+// The same under vessels as `vessels` has them: veins are the bluer the wider, arteries are red.
+fn perfused(colour: vec3f, seen: vec3f, strength: f32) -> vec3f {
+    return bled(bled(colour, strength * seen.r, seen.b), 1.1 * strength * seen.g, 0.0);
 }
 
 // Muscle and the wall of a hollow organ: pink, mottled, with faint fibres under the serosa, and its vessels.
-fn muscle(p: vec2f) -> Look {
+fn muscle(p: vec2f, at: vec2i) -> Look {
     let wander = vec2f(swell(p / 21.0, 601) - 0.5, swell(p / 21.0, 611) - 0.5);
     let q = vec2f(0.97 * p.x + 0.24 * p.y, -0.24 * p.x + 0.97 * p.y) + 13.0 * wander;
     let fibre = clouds(vec2f(q.x / 9.0, q.y / 0.9), 620) - 0.5;
@@ -119,60 +117,57 @@ fn muscle(p: vec2f) -> Look {
     let blotch = clouds(p / 5.5, 640) - 0.5;
     let grain = swell(p / 1.1, 650) - 0.5;
     let pale = smoothstep(0.50, 0.72, clouds(p / 12.0, 660));
-    let veins = vessel_net(p, 27.0, 0.70, 700);
-    let arteries = vessel_net(p + 31.0, 15.0, 0.34, 740);
-    let fine = vessel_net(p + 11.0, 4.2, 0.17, 780);
-    let finest = vessel_net(p + 5.0, 1.9, 0.10, 820);
-    var colour = paint.base_colour * vec3f(1.10, 1.35, 1.25);
-    colour *= 1.0 + 0.55 * broad + 0.26 * blotch + 0.30 * fibre + 0.14 * grain;
-    colour = mix(colour, vec3f(0.50, 0.19, 0.135), 0.34 * pale);
-    colour = bled(colour, 0.50 * veins, 1.0);
-    colour = bled(colour, 0.55 * arteries, 0.0);
-    colour = bled(colour, 0.42 * fine + 0.20 * finest, 0.1);
+    // Capillaries, too fine to be told apart.
+    let blush = smoothstep(0.42, 0.66, clouds(p / 3.4 + 2.0 * wander, 670));
+    let seen = vessels(p, at);
+    var colour = paint.base_colour * vec3f(1.08, 1.26, 1.16);
+    colour *= 1.0 + 0.50 * broad + 0.22 * blotch + 0.30 * fibre + 0.12 * grain;
+    colour = mix(colour, vec3f(0.50, 0.19, 0.135), 0.30 * pale);
+    colour = bled(colour, 0.16 * blush, 0.0);
+    colour = perfused(colour, seen, 0.62);
     let waves = 2.2 * clouds(p / 21.0, 860) + 0.34 * clouds(p / 5.0, 861);
-    let height = waves + 0.055 * fibre + 0.10 * veins + 0.05 * arteries + 0.03 * grain;
-    let film = waves + 0.17 * flow(p, 1.5, 870) + 0.055 * noise(p / 1.0, 871) + 0.022 * noise(p / 0.45, 872);
+    let height = waves + 0.055 * fibre + 0.06 * seen.b + 0.02 * seen.g + 0.03 * grain;
+    let film = waves + 0.05 * seen.b + 0.15 * flow(p, 2.1, 870) + 0.020 * noise(p / 1.0, 871);
     return Look(colour, 1.0, vec2f(height, film));
 }
 
 // Liver: a brown capsule, smooth and tense, lobules hardly seen.
-fn liver(p: vec2f) -> Look {
+fn liver(p: vec2f, at: vec2i) -> Look {
     let bent = p + 0.9 * vec2f(noise(p / 2.0, 900) - 0.5, noise(p / 2.0, 901) - 0.5);
     let lobule = cells(bent / 1.25, 910);
     let rim = 1.0 - smoothstep(0.0, 0.35, lobule.y - lobule.x);
     let broad = swell(p / 26.0, 920) - 0.5;
     let mottle = clouds(p / 8.0, 921) - 0.5;
     let grain = swell(p / 1.4, 930) - 0.5;
-    let veins = vessel_net(p, 23.0, 0.5, 940);
-    let fine = vessel_net(p + 17.0, 5.0, 0.14, 960);
-    var colour = paint.base_colour * vec3f(1.55, 1.75, 1.60);
-    colour *= 1.0 + 0.7 * broad + 0.5 * mottle + 0.24 * grain + 0.18 * (lobule.z - 0.5) + 0.16 * rim;
-    colour = mix(colour, paint.base_colour * vec3f(2.0, 3.6, 2.7), 0.25 * smoothstep(0.05, 0.28, mottle));
-    colour = bled(colour, 0.35 * veins, 0.6);
-    colour = bled(colour, 0.30 * fine, 0.2);
+    let seen = vessels(p, at);
+    var colour = paint.base_colour * vec3f(1.30, 1.32, 1.35);
+    colour *= 1.0 + 0.7 * broad + 0.36 * mottle + 0.12 * grain + 0.14 * (lobule.z - 0.5) + 0.12 * rim;
+    colour = mix(colour, paint.base_colour * vec3f(1.9, 3.0, 2.4), 0.22 * smoothstep(0.05, 0.28, mottle));
+    colour = perfused(colour, seen, 0.26);
     let waves = 1.9 * clouds(p / 30.0, 980) + 0.10 * clouds(p / 7.0, 981);
     let height = waves + 0.012 * smoothstep(0.0, 0.6, lobule.y - lobule.x) + 0.012 * grain;
-    let film = waves + 0.11 * flow(p, 1.9, 975) + 0.030 * noise(p / 1.3, 991) + 0.012 * noise(p / 0.5, 992);
+    let film = waves + 0.05 * flow(p, 4.5, 975) + 0.010 * noise(p / 1.6, 991);
     return Look(colour, 1.0, vec2f(height, film));
 }
 
 // Fat: soft yellow lobules of several sizes under a shining membrane, and pink between.
-fn fat(p: vec2f) -> Look {
-    let bent = p + 3.4 * vec2f(swell(p / 7.0, 1000) - 0.5, swell(p / 7.0, 1001) - 0.5);
+fn fat(p: vec2f, at: vec2i) -> Look {
+    let bent = p + 3.4 * vec2f(swell(p / 7.0, 1000) - 0.5, swell(p / 7.0, 1001) - 0.5)
+        + 0.7 * vec2f(noise(p / 1.3, 1002) - 0.5, noise(p / 1.3, 1003) - 0.5);
     let large = cells(bent / 7.5, 1010);
     let small = cells(bent / 2.4, 1020);
-    let fatty = smoothstep(0.38, 0.60, clouds(p / 33.0, 1030));
+    // Lobules are whole, so islands of fat have outlines of lobules.
+    let fatty = smoothstep(0.44, 0.55, clouds(p / 33.0, 1030) + 0.07 * (large.z - 0.5) + 0.03 * (small.z - 0.5)
+        - 0.05 * (1.0 - smoothstep(0.0, 0.5, large.y - large.x)));
     let broad = swell(p / 15.0, 1040) - 0.5;
     let crease = 1.0 - smoothstep(0.0, 0.45, large.y - large.x);
-    let veins = vessel_net(p, 21.0, 0.7, 1050);
-    let fine = vessel_net(p + 9.0, 6.0, 0.2, 1070);
-    var colour = vec3f(0.42, 0.125, 0.095) * (1.0 + 0.9 * broad);
-    let lobules = paint.base_colour * vec3f(1.05, 1.12, 1.25) * (0.95 + 0.10 * small.z + 0.10 * large.z + 0.5 * broad - 0.10 * crease);
+    let seen = vessels(p, at);
+    var colour = vec3f(0.34, 0.095, 0.072) * (1.0 + 0.9 * broad);
+    let lobules = paint.base_colour * vec3f(1.00, 1.06, 1.45) * (0.95 + 0.06 * small.z + 0.14 * large.z + 0.5 * broad - 0.16 * crease);
     colour = mix(colour, lobules, fatty);
-    colour = bled(colour, 0.6 * veins, 0.7);
-    colour = bled(colour, 0.45 * fine, 0.1);
-    let round = fatty * (0.55 * smoothstep(0.0, 0.9, large.y - large.x) + 0.16 * smoothstep(0.0, 0.8, small.y - small.x));
-    let height = round + 4.0 * clouds(p / 33.0, 1090);
+    colour = perfused(colour, seen, 0.55);
+    let round = fatty * (0.70 * smoothstep(0.0, 0.9, large.y - large.x) + 0.08 * smoothstep(0.0, 0.8, small.y - small.x));
+    let height = round + 4.0 * clouds(p / 33.0, 1090) + 0.12 * seen.b;
     return Look(colour, 1.0 - 0.10 * crease * fatty, vec2f(height, height + 0.07 * noise(p / 1.6, 1095)));
 }
 
@@ -187,21 +182,17 @@ fn pad(p: vec2f) -> Look {
 }
 
 // A sheet of peritoneum: pale, with the vessels that run in it and a little fat along them.
-fn membrane(p: vec2f) -> Look {
-    let veins = vessel_net(p + 3.0, 25.0, 0.55, 1200);
-    let arteries = vessel_net(p + 23.0, 13.0, 0.28, 1220);
-    let fine = vessel_net(p + 13.0, 4.6, 0.13, 1240);
+fn membrane(p: vec2f, at: vec2i) -> Look {
     let broad = swell(p / 17.0, 1260) - 0.5;
     let blotch = clouds(p / 3.6, 1270) - 0.5;
     let fatty = smoothstep(0.55, 0.75, clouds(p / 8.0, 1280));
-    var colour = paint.base_colour * vec3f(0.86, 0.62, 0.60) * (1.0 + 0.5 * broad + 0.24 * blotch);
-    colour = mix(colour, vec3f(0.58, 0.33, 0.15), 0.26 * fatty);
-    colour = bled(colour, 0.45 * veins, 0.8);
-    colour = bled(colour, 0.42 * arteries, 0.0);
-    colour = bled(colour, 0.28 * fine, 0.1);
+    let seen = vessels(p, at);
+    var colour = paint.base_colour * vec3f(0.76, 0.47, 0.45) * (1.0 + 0.5 * broad + 0.24 * blotch);
+    colour = mix(colour, vec3f(0.58, 0.33, 0.15), 0.18 * fatty);
+    colour = perfused(colour, seen, 0.60);
     let waves = 1.1 * clouds(p / 9.0, 1290) + 0.20 * fatty;
-    let height = waves + 0.12 * veins + 0.05 * arteries + 0.05 * blotch;
-    let film = waves + 0.09 * flow(p, 1.1, 1310) + 0.03 * noise(p / 0.7, 1296);
+    let height = waves + 0.06 * seen.b + 0.02 * seen.g + 0.05 * blotch;
+    let film = waves + 0.05 * seen.b + 0.09 * flow(p, 1.5, 1310) + 0.02 * noise(p / 0.7, 1296);
     return Look(colour, 1.0, vec2f(height, film));
 }
 
@@ -225,11 +216,11 @@ fn look(@builtin(position) at: vec4f) -> Painted {
     let p = (at.xy / paint.size_px - 0.5) * paint.size_mm + paint.middle_mm;
     var found: Look;
     switch PATTERN {
-        case 1u: { found = muscle(p); }
-        case 2u: { found = liver(p); }
-        case 3u: { found = fat(p); }
+        case 1u: { found = muscle(p, vec2i(at.xy)); }
+        case 2u: { found = liver(p, vec2i(at.xy)); }
+        case 3u: { found = fat(p, vec2i(at.xy)); }
         case 4u: { found = pad(p); }
-        case 6u: { found = membrane(p); }
+        case 6u: { found = membrane(p, vec2i(at.xy)); }
         default: { found = cloth(p); }
     }
     return Painted(vec4f(clamp(found.colour, vec3f(0.0), vec3f(1.0)), found.open), vec4f(found.height, 0.0, 0.0));

@@ -49,15 +49,15 @@ pub struct Light {
     pub warmth: f64,
 }
 
-/// Where the light guide ends beside the lens of an endoscope, camera frame, m. At the lens itself
-/// no shadow would be seen.
-const GUIDE_IN_CAMERA_M: [f64; 3] = [0.010, -0.012, 0.0];
+/// Where the light guide ends beside the lens of an endoscope, camera frame, m: as in a tip that
+/// is 12 mm thick, above and to the right. At the lens itself no shadow would be seen.
+const GUIDE_IN_CAMERA_M: [f64; 3] = [0.004, -0.005, 0.0];
 
 impl Light {
     /// The light of an endoscope whose lens is `camera`: it covers what the camera sees and a
     /// little more.
     ///
-    /// The cone's half angle is 1.3 times the angle to the farthest corner of the picture plus 0.08
+    /// The cone's half angle is 1.15 times the angle to the farthest corner of the picture plus 0.06
     /// rad, clamped to 0.1 to 1.2 rad; distortion is ignored.
     #[must_use]
     pub fn beside(camera: &Camera) -> Self {
@@ -68,7 +68,7 @@ impl Light {
         let down = reach(lens.cy, lens.height, lens.fy);
         Self {
             guide_in_scene: camera.camera_in_scene * Translation3::from(GUIDE_IN_CAMERA_M),
-            cone_half_angle_rad: (1.3 * across.hypot(down).atan() + 0.08).clamp(0.1, 1.2),
+            cone_half_angle_rad: (1.15 * across.hypot(down).atan() + 0.06).clamp(0.1, 1.2),
             ..Self::default()
         }
     }

@@ -145,10 +145,7 @@ fn fresnel(cosine: f32, f0: vec3f) -> vec3f {
 // What share of its surroundings a surface mirrors: of flesh a bounded one, whose film is not level over a pixel at its silhouette.
 fn mirrored(cosine: f32, f0: vec3f, flesh: f32) -> vec3f {
     let level = fresnel(cosine, f0);
-    if FINE {
-        return mix(level, min(level, vec3f(0.30)), flesh);
-    }
-    return level;
+    return mix(level, min(level, vec3f(0.30)), flesh);
 }
 
 // What a mirror sees: the lit scene below, a dim cavity above, the glow of the light guide, and a dark gap between.
@@ -205,23 +202,18 @@ fn shade(s: Surface, position: vec3f) -> vec3f {
     }
     let h = normalize(v + l);
     let roughness = clamp(s.roughness, 0.08, 1.0);
-    var f0 = mix(vec3f(0.04), s.base_colour, s.metallic);
-    if FINE {
-        // Flesh under a film of water hardly mirrors: their refractive indices are 1.38 and 1.33.
-        f0 = mix(f0, vec3f(0.004), min(2.0 * s.wetness, 1.0) * (1.0 - s.metallic));
-    }
+    // Flesh under a film of water hardly mirrors: their refractive indices are 1.38 and 1.33.
+    let dielectric = mix(0.04, 0.004, min(2.0 * s.wetness, 1.0));
+    let f0 = mix(vec3f(dielectric), s.base_colour, s.metallic);
     let v_h = max(dot(v, h), 0.0);
     let n_v = max(dot(s.normal, v), 1e-3);
     let body = fresnel(v_h, f0) * glint(max(n_l, 0.0), n_v, max(dot(s.normal, h), 0.0), roughness);
     let film_n_v = max(dot(s.film_normal, v), 1e-3);
     let film_n_l = max(dot(s.film_normal, l), 0.0);
-    let film_f0 = vec3f(0.05);
+    let film_f0 = vec3f(0.035);
     let film_n_h = max(dot(s.film_normal, h), 0.0);
-    var film_shine = glint(film_n_l, film_n_v, film_n_h, 0.21);
-    if FINE {
-        // Where it is thin it is rough as what it lies on.
-        film_shine = 0.80 * glint(film_n_l, film_n_v, film_n_h, 0.15) + 0.20 * glint(film_n_l, film_n_v, film_n_h, 0.38);
-    }
+    // Where the film is thin it is rough as what it lies on.
+    let film_shine = 0.92 * glint(film_n_l, film_n_v, film_n_h, 0.14) + 0.08 * glint(film_n_l, film_n_v, film_n_h, 0.38);
     let film = s.wetness * fresnel(v_h, film_f0) * film_shine;
     let through = 1.0 - s.wetness * fresnel(film_n_v, film_f0).x;
 

@@ -31,6 +31,7 @@ mod scene;
 mod station;
 mod targets;
 mod textures;
+mod vessels;
 
 use std::sync::{Mutex, PoisonError};
 

@@ -21,6 +21,8 @@ const NEAR_M: f64 = 0.10;
 const DEEP_M: f64 = -0.08;
 /// How thick the layer below the ceiling is into which all that is higher is pressed, m.
 const LAYER_M: f64 = 0.018;
+/// How thick the layer is into which all is pressed that lies beyond the diaphragm, m.
+const DIAPHRAGM_M: f64 = 0.005;
 /// Least share of its height that an organ keeps as far as its normals say: it still looks round.
 const ROUND: f64 = 0.6;
 
@@ -33,11 +35,13 @@ pub(super) fn around(
     scene_from_scan: &Pose,
 ) -> Vec<Visual> {
     let ceiling = Ceiling::over(drawn);
+    let diaphragm = Diaphragm::over(parts, scene_from_scan);
     let others = parts
         .iter()
         .filter(|part| part.name != organ && !is_wall(part));
     let visual = |part: &Part| {
-        let mesh = placed(part.mesh.clone(), scene_from_scan);
+        let mut mesh = placed(part.mesh.clone(), scene_from_scan);
+        diaphragm.press(&mut mesh);
         is_near(&mesh).then(|| {
             let mesh = pressed(rounding::finer(mesh, edge_m), &ceiling);
             Visual::new(name(part), mesh, tissue_material(part), instance::NEIGHBOUR)
@@ -45,6 +49,48 @@ pub(super) fn around(
         })
     };
     others.filter_map(visual).collect()
+}
+
+/// Where the belly ends towards the head, which is where its liver does.
+struct Diaphragm {
+    /// Towards the head, scene frame.
+    head: Vector3<f64>,
+    /// How far that way the liver reaches from the origin, m; none without a liver.
+    at_m: Option<f64>,
+}
+
+impl Diaphragm {
+    fn over(parts: &[Part], scene_from_scan: &Pose) -> Self {
+        let head = scene_from_scan.rotation * Vector3::z();
+        let liver = parts.iter().find(|part| part.name == "liver");
+        let reach_m = |part: &Part| {
+            let liver = placed(part.mesh.clone(), scene_from_scan);
+            let along = liver.positions.iter().map(|at| along_m(at, &head));
+            along.reduce(f64::max)
+        };
+        Self {
+            head,
+            at_m: liver.and_then(reach_m),
+        }
+    }
+
+    /// Presses into a thin layer what lies beyond: gullet and great vessels would stand in the
+    /// cavity as posts. What was further stays further, so that what is closed stays closed.
+    fn press(&self, mesh: &mut Mesh) {
+        let Some(at_m) = self.at_m else { return };
+        for position in &mut mesh.positions {
+            let beyond_m = along_m(position, &self.head) - at_m;
+            if beyond_m > 0.0 {
+                let back_m = beyond_m - DIAPHRAGM_M * beyond_m / (DIAPHRAGM_M + beyond_m);
+                *position = single(&(Vector3::from(position.map(f64::from)) - back_m * self.head));
+            }
+        }
+    }
+}
+
+/// How far `at` lies along `direction`, m.
+fn along_m(at: &[f32; 3], direction: &Vector3<f64>) -> f64 {
+    Vector3::from(at.map(f64::from)).dot(direction)
 }
 
 /// Whether a camera can see some of it. It is drawn as a whole then, and stays closed: also what
