@@ -170,7 +170,7 @@ fn half_lit(shading: Shading, height_m: f64) -> usize {
     };
     let shot = |visuals: &[Visual], poses: &[Pose]| {
         let opened = Renderer::with_backdrop(visuals, &Backdrop::CAVITY, shading);
-        shoot(&mut opened.unwrap(), poses, &camera)
+        shoot_in(&mut opened.unwrap(), poses, &camera, &aside(&camera))
     };
     let bare = shot(core::slice::from_ref(&plane), &[Pose::identity()]);
     let shadowed = shot(&[plane, ball], &[Pose::identity(), at(0.0, 0.0, height_m)]);
