@@ -8,20 +8,22 @@
 //! A layer has two images with 8 levels each: albedo in sRGB bytes with openness in alpha, and
 //! relief, of which red and green are the slopes of the flesh along u and v and blue and alpha
 //! those of the film, each stored as `0.5 + 0.5 * slope`. Four kinds of passes make it: one draws
-//! the vessels (`vessels`), `look` paints colours and heights, `slope` differentiates the heights,
+//! the vessels (`vessel_pass`), `look` paints colours and heights, `slope` differentiates the heights,
 //! `halve` makes each level from the one before.
 //!
 //! Surfaces with the same pattern, colour, place and size share a layer. Bind group 0 is the
 //! paint's record, group 1 the two images that the step before has made.
 
+use core::cell::OnceCell;
 use std::collections::BTreeMap;
 
 use hal::count::count_u32;
 use hal::random::fnv_1a;
 use wgpu::util::DeviceExt;
 
-use super::textures::texture;
-use super::vessels::{Stretch, Supply, grown};
+use super::textures::{cleared, texture};
+use super::vessel_pass::{VESSELS_FORMAT, VesselPass};
+use super::vessels::{Supply, grown};
 use crate::visual::{Backdrop, Material, Pattern, Visual};
 
 /// Side of the square that a pattern is painted in, m; beyond it the pattern is mirrored.
@@ -42,9 +44,6 @@ const ALBEDO_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
 const RELIEF_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 /// Heights of flesh and film, mm; only while a layer is painted.
 const HEIGHT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
-
-/// How much of each vessel is seen; only while a layer is painted.
-const VESSELS_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 
 /// All painted patterns of a scene, a layer each.
 pub(super) struct Paints {
@@ -172,23 +171,6 @@ impl Paints {
     }
 }
 
-/// The vessels of a pattern, if it has any.
-const fn supply(pattern: Pattern) -> Option<Supply> {
-    let (roots_mm, tips_mm, tip_radius_mm, arteries) = match pattern {
-        Pattern::Muscle => (52.0, 4.2, 0.075, true),
-        Pattern::Liver => (70.0, 11.0, 0.060, false),
-        Pattern::Fat => (60.0, 7.0, 0.085, true),
-        Pattern::Membrane => (44.0, 5.0, 0.070, true),
-        Pattern::Smooth | Pattern::Brushed | Pattern::Skin | Pattern::Cloth => return None,
-    };
-    Some(Supply {
-        roots_mm,
-        tips_mm,
-        tip_radius_mm,
-        arteries,
-    })
-}
-
 /// What says where the vessels of a square run: its pattern, its place and its size, not its
 /// colour.
 fn seed(&(pattern, _, at, size): &Key) -> u64 {
@@ -244,8 +226,8 @@ struct Painter<'a> {
     paint_layout: wgpu::BindGroupLayout,
     /// Of group 1.
     source_layout: wgpu::BindGroupLayout,
-    /// Draws vessels.
-    vessels: wgpu::RenderPipeline,
+    /// Draws vessels; compiled for the first pattern that has any.
+    vessels: OnceCell<VesselPass>,
     /// From heights to slopes.
     slope: wgpu::RenderPipeline,
     /// From a level to the next.
@@ -288,7 +270,7 @@ impl<'a> Painter<'a> {
         };
         Self {
             device,
-            vessels: vessel_pipeline(device, &module, &paint_layout),
+            vessels: OnceCell::new(),
             slope: pipeline("slope"),
             halve: pipeline("halve"),
             module,
@@ -320,12 +302,18 @@ impl<'a> Painter<'a> {
             texture(self.device, label, PATTERN_PX, PATTERN_PX, format, usage)
                 .create_view(&wgpu::TextureViewDescriptor::default())
         };
-        // There are no heights yet.
+        // There are no heights yet, and images that nothing is drawn into are empty.
         let sources = [
             scratch("vessels", VESSELS_FORMAT),
             scratch("no heights", HEIGHT_FORMAT),
         ];
-        self.draw_vessels(encoder, &paint, painted, &sources[0]);
+        if let Some(supply) = Supply::of(painted.wanted.pattern) {
+            let side_mm = 1e3 * f64::from(painted.wanted.size_m);
+            let stretches = grown(&supply, side_mm, seed(&painted.key));
+            self.vessels
+                .get_or_init(|| VesselPass::new(self.device, &self.module, &self.paint_layout))
+                .draw(self.device, encoder, &paint, &stretches, &sources[0]);
+        }
         let looks = [
             scratch("albedo", ALBEDO_FORMAT),
             scratch("heights", HEIGHT_FORMAT),
@@ -368,40 +356,6 @@ impl<'a> Painter<'a> {
         })
     }
 
-    /// Draws the vessels of a square into `to`, which has none where its pattern has none.
-    fn draw_vessels(
-        &self,
-        encoder: &mut wgpu::CommandEncoder,
-        paint: &wgpu::BindGroup,
-        painted: &Painted,
-        to: &wgpu::TextureView,
-    ) {
-        let side_mm = 1e3 * f64::from(painted.wanted.size_m);
-        let stretches = supply(painted.wanted.pattern).map_or_else(Vec::new, |supply| {
-            grown(&supply, side_mm, seed(&painted.key))
-        });
-        let contents: Vec<u8> = stretches.iter().flat_map(vessel_record).collect();
-        let buffer = self
-            .device
-            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
-                label: Some("vessels"),
-                contents: &contents,
-                usage: wgpu::BufferUsages::VERTEX,
-            });
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("vessels"),
-            color_attachments: &[cleared(to)],
-            ..Default::default()
-        });
-        if stretches.is_empty() {
-            return;
-        }
-        pass.set_pipeline(&self.vessels);
-        pass.set_bind_group(0, paint, &[]);
-        pass.set_vertex_buffer(0, buffer.slice(..));
-        pass.draw(0..6, 0..count_u32(stretches.len()));
-    }
-
     /// Draws one triangle over `to` with `from` to read.
     fn pass(
         &self,
@@ -429,88 +383,6 @@ impl<'a> Painter<'a> {
         pass.set_bind_group(1, &source, &[]);
         pass.draw(0..3, 0..1);
     }
-}
-
-/// An image that is drawn into from nothing.
-const fn cleared(view: &wgpu::TextureView) -> Option<wgpu::RenderPassColorAttachment<'_>> {
-    Some(wgpu::RenderPassColorAttachment {
-        view,
-        depth_slice: None,
-        resolve_target: None,
-        ops: wgpu::Operations {
-            load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
-            store: wgpu::StoreOp::Store,
-        },
-    })
-}
-
-/// Bytes of a [`vessel_record`].
-const VESSEL_BYTES: wgpu::BufferAddress = 36;
-
-/// Nine floats: both ends, radii and shares there, and 1 for an artery's.
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "single precision is what the device has"
-)]
-fn vessel_record(stretch: &Stretch) -> impl Iterator<Item = u8> {
-    let [from, to] = stretch.ends_mm;
-    let numbers = from
-        .into_iter()
-        .chain(to)
-        .chain(stretch.radii_mm)
-        .chain(stretch.shares)
-        .chain([f64::from(u8::from(stretch.is_artery))]);
-    numbers.flat_map(|number| (number as f32).to_ne_bytes())
-}
-
-/// A quadrangle for each [`vessel_record`]; where vessels cross, the one that is seen best counts.
-fn vessel_pipeline(
-    device: &wgpu::Device,
-    module: &wgpu::ShaderModule,
-    paint_layout: &wgpu::BindGroupLayout,
-) -> wgpu::RenderPipeline {
-    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some("vessels"),
-        bind_group_layouts: &[Some(paint_layout)],
-        immediate_size: 0,
-    });
-    let most = wgpu::BlendComponent {
-        src_factor: wgpu::BlendFactor::One,
-        dst_factor: wgpu::BlendFactor::One,
-        operation: wgpu::BlendOperation::Max,
-    };
-    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("vessels"),
-        layout: Some(&layout),
-        vertex: wgpu::VertexState {
-            module,
-            entry_point: Some("vessel_vertex"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: &[Some(wgpu::VertexBufferLayout {
-                array_stride: VESSEL_BYTES,
-                step_mode: wgpu::VertexStepMode::Instance,
-                attributes: &wgpu::vertex_attr_array![0 => Float32x4, 1 => Float32x4, 2 => Float32],
-            })],
-        },
-        primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: None,
-        multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
-            module,
-            entry_point: Some("vessel_fragment"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            targets: &[Some(wgpu::ColorTargetState {
-                format: VESSELS_FORMAT,
-                blend: Some(wgpu::BlendState {
-                    color: most,
-                    alpha: most,
-                }),
-                write_mask: wgpu::ColorWrites::ALL,
-            })],
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
 }
 
 /// One level of one layer, to draw into or read.

@@ -57,8 +57,8 @@ impl Light {
     /// The light of an endoscope whose lens is `camera`: it covers what the camera sees and a
     /// little more.
     ///
-    /// The cone's half angle is 1.15 times the angle to the farthest corner of the picture plus 0.06
-    /// rad, clamped to 0.1 to 1.2 rad; distortion is ignored.
+    /// The cone's half angle is 1.15 times the angle to the farthest corner of the picture plus
+    /// 0.06 rad, clamped to 0.1 to 1.2 rad; distortion is ignored.
     #[must_use]
     pub fn beside(camera: &Camera) -> Self {
         let lens = &camera.intrinsics;

@@ -31,6 +31,7 @@ mod scene;
 mod station;
 mod targets;
 mod textures;
+mod vessel_pass;
 mod vessels;
 
 use std::sync::{Mutex, PoisonError};
@@ -88,9 +89,9 @@ pub enum Shading {
     /// Shadows, surroundings mirrored in metal and fluid, relief.
     #[default]
     Full,
-    /// For pictures that people look at: edges smoothed over the pixel, a film that is rougher
-    /// where it is thin, light that comes through thin tissue, hollows that the light from all
-    /// around does not reach (both baked by rays when it is chosen first). A software rasteriser
+    /// For pictures that people look at: edges smoothed over the pixel, light that comes through
+    /// thin tissue, hollows that the light from all around does not reach (both baked by rays when
+    /// it is chosen first). A software rasteriser
     /// takes 3.4 times as long (98 and 29 ms a frame, `tests/benches/RESULTS.md`).
     ///
     /// Shadows have penumbras (percentage-closer soft shadows, R. Fernando, 2005) of a light guide

@@ -8,6 +8,8 @@
 
 use hal::random::SplitMix64;
 
+use crate::visual::Pattern;
+
 /// How the vessels of a tissue look.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Supply {
@@ -21,14 +23,33 @@ pub(super) struct Supply {
     pub(super) arteries: bool,
 }
 
-/// A piece of a vessel that tapers evenly between two points.
+impl Supply {
+    /// That of a pattern, if it has vessels.
+    pub(super) const fn of(pattern: Pattern) -> Option<Self> {
+        let (roots_mm, tips_mm, tip_radius_mm, arteries) = match pattern {
+            Pattern::Muscle => (52.0, 4.2, 0.075, true),
+            Pattern::Liver => (70.0, 11.0, 0.060, false),
+            Pattern::Fat => (60.0, 7.0, 0.085, true),
+            Pattern::Membrane => (44.0, 5.0, 0.070, true),
+            Pattern::Smooth | Pattern::Brushed | Pattern::Skin | Pattern::Cloth => return None,
+        };
+        Some(Self {
+            roots_mm,
+            tips_mm,
+            tip_radius_mm,
+            arteries,
+        })
+    }
+}
+
+/// A piece of a vessel between two points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Stretch {
     /// Its ends, mm.
     pub(super) ends_mm: [[f64; 2]; 2],
-    /// Its radii there, mm.
-    pub(super) radii_mm: [f64; 2],
-    /// What share of its colour is seen there: less where a trunk comes up, nothing where a twig
+    /// Its radius, mm: a branch is as wide as itself where it leaves a wider one.
+    pub(super) radius_mm: f64,
+    /// What share of its colour is seen at them: less where a trunk comes up, nothing where a twig
     /// ends.
     pub(super) shares: [f64; 2],
     /// Whether it is an artery's.
@@ -238,7 +259,7 @@ impl Trees {
 
     /// Veins first, then the arteries beside them.
     fn stretches(&self, supply: &Supply) -> Vec<Stretch> {
-        let radius_mm = |node: &Node| supply.tip_radius_mm * node.tips.cbrt();
+        let width_mm = |node: &Node| supply.tip_radius_mm * node.tips.cbrt();
         let mut ends = vec![true; self.nodes.len()];
         for parent in self.nodes.iter().filter_map(|node| node.parent) {
             ends[parent] = false;
@@ -249,24 +270,22 @@ impl Trees {
             let Some(parent) = node.parent.map(|parent| &self.nodes[parent]) else {
                 continue;
             };
-            // A branch is as wide as itself where it leaves a wider one.
-            let radii_mm = [radius_mm(node).min(radius_mm(parent)), radius_mm(node)];
+            let radius_mm = width_mm(node);
             let last = if is_end { 0.0 } else { 1.0 };
             let shares = [
-                Self::share(parent, radii_mm[0]),
-                last * Self::share(node, radii_mm[1]),
+                Self::share(parent, radius_mm),
+                last * Self::share(node, radius_mm),
             ];
             veins.push(Stretch {
                 ends_mm: [parent.at.into(), node.at.into()],
-                radii_mm,
+                radius_mm,
                 shares,
                 is_artery: false,
             });
-            if supply.arteries && radii_mm[1] > PAIRED_MM {
-                let ends_mm = [parent, node].map(|end| self.beside(end, radius_mm(end)).into());
+            if supply.arteries && radius_mm > PAIRED_MM {
                 arteries.push(Stretch {
-                    ends_mm,
-                    radii_mm: radii_mm.map(|radius| ARTERY * radius),
+                    ends_mm: [parent, node].map(|end| self.beside(end, width_mm(end)).into()),
+                    radius_mm: ARTERY * radius_mm,
                     shares,
                     is_artery: true,
                 });
@@ -367,15 +386,15 @@ mod tests {
         let bits = |end: [f64; 2]| end.map(f64::to_bits);
         let veins = veins();
         let mut branchings = 0;
-        for vein in veins.iter().filter(|vein| vein.radii_mm[1] > 0.2) {
+        for vein in veins.iter().filter(|vein| vein.radius_mm > 0.2) {
             let beyond = veins
                 .iter()
                 .filter(|other| bits(other.ends_mm[0]) == bits(vein.ends_mm[1]));
-            let radii: Vec<f64> = beyond.map(|branch| branch.radii_mm[1]).collect();
+            let radii: Vec<f64> = beyond.map(|branch| branch.radius_mm).collect();
             if radii.len() > 1 {
                 branchings += 1;
                 let cubes: f64 = radii.iter().map(|radius| radius.powi(3)).sum();
-                let cube = vein.radii_mm[1].powi(3);
+                let cube = vein.radius_mm.powi(3);
                 assert!((cube - cubes).abs() < 1e-9 * cube, "{cube} {cubes}");
             }
         }

@@ -5,7 +5,7 @@ struct Vessel {
     @builtin(position) clip: vec4f,
     @location(0) at_mm: vec2f,
     @location(1) @interpolate(flat) ends_mm: vec4f,
-    @location(2) @interpolate(flat) radii_mm: vec2f,
+    @location(2) @interpolate(flat) radius_mm: f32,
     @location(3) @interpolate(flat) shares: vec2f,
     @location(4) @interpolate(flat) is_artery: f32,
 }
@@ -19,12 +19,11 @@ const WIDE_MM = 0.5;
 fn vessel_vertex(
     @builtin(vertex_index) corner: u32,
     @location(0) ends_mm: vec4f,
-    @location(1) radii_and_shares: vec4f,
-    @location(2) is_artery: f32,
+    // Radius, mm, shares at both ends, and 1 for an artery's.
+    @location(1) look: vec4f,
 ) -> Vessel {
-    let radii = radii_and_shares.xy;
     let texel = paint.size_mm / paint.size_px;
-    let reach = max(radii.x, radii.y) + BLUR_MM + texel;
+    let reach = look.x + BLUR_MM + texel;
     let way = ends_mm.zw - ends_mm.xy;
     let along = way / max(length(way), 1e-6);
     let aside = vec2f(-along.y, along.x);
@@ -33,7 +32,7 @@ fn vessel_vertex(
     let end = select(ends_mm.xy - reach * along, ends_mm.zw + reach * along, far);
     let at = end + select(-reach, reach, left) * aside;
     let ndc = at / (0.5 * paint.size_mm);
-    return Vessel(vec4f(ndc.x, -ndc.y, 0.0, 1.0), at, ends_mm, radii, radii_and_shares.zw, is_artery);
+    return Vessel(vec4f(ndc.x, -ndc.y, 0.0, 1.0), at, ends_mm, look.x, look.yz, look.w);
 }
 
 @fragment
@@ -41,7 +40,7 @@ fn vessel_fragment(in: Vessel) -> @location(0) vec4f {
     let way = in.ends_mm.zw - in.ends_mm.xy;
     let offset = in.at_mm - in.ends_mm.xy;
     let t = clamp(dot(offset, way) / max(dot(way, way), 1e-9), 0.0, 1.0);
-    let radius = mix(in.radii_mm.x, in.radii_mm.y, t);
+    let radius = in.radius_mm;
     // Of half a texel at least, and the fainter for it.
     let drawn = max(radius, 0.5 * paint.size_mm / paint.size_px);
     let blur_mm = select(BLUR_MM, 0.5 * BLUR_MM, in.is_artery > 0.5);

@@ -107,6 +107,28 @@ fn neighbours_are_closed_and_out_of_the_way() {
     }
 }
 
+/// The gullet and the great vessels of the phantom reach more than 10 cm beyond its liver.
+#[test]
+fn nothing_stands_beyond_the_diaphragm() {
+    let folder = Folder::with_phantom("diaphragm", 1);
+    for organ in ORGANS {
+        let patient = laid(&folder, organ);
+        let visuals = patient.visuals_in_scene();
+        let head = Vector3::from(patient.lie.axes_in_scan.map(|[.., z]| z));
+        let reach_m = |mesh: &Mesh| {
+            let along = mesh.positions.iter();
+            let along = along.map(|at| Vector3::from(at.map(f64::from)).dot(&head));
+            along.fold(f64::NEG_INFINITY, f64::max)
+        };
+        let liver = visuals.iter().find(|visual| visual.name == "liver");
+        let liver_m = reach_m(&liver.unwrap().mesh);
+        for visual in visuals.iter().filter(|visual| is_neighbour(visual)) {
+            let beyond_m = reach_m(&visual.mesh) - liver_m;
+            assert!(beyond_m < 0.0055, "{organ}: {} {beyond_m}", visual.name);
+        }
+    }
+}
+
 /// What is painted is another part of the pattern on each organ of each patient, and the same on
 /// the same organ.
 #[test]
