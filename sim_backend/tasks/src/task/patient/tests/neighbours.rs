@@ -111,21 +111,18 @@ fn neighbours_are_closed_and_out_of_the_way() {
 #[test]
 fn nothing_stands_beyond_the_diaphragm() {
     let folder = Folder::with_phantom("diaphragm", 1);
-    for organ in ORGANS {
-        let patient = laid(&folder, organ);
-        let visuals = patient.visuals_in_scene();
-        let head = Vector3::from(patient.lie.axes_in_scan.map(|[.., z]| z));
-        let reach_m = |mesh: &Mesh| {
-            let along = mesh.positions.iter();
-            let along = along.map(|at| Vector3::from(at.map(f64::from)).dot(&head));
-            along.fold(f64::NEG_INFINITY, f64::max)
-        };
-        let liver = visuals.iter().find(|visual| visual.name == "liver");
-        let liver_m = reach_m(&liver.unwrap().mesh);
-        for visual in visuals.iter().filter(|visual| is_neighbour(visual)) {
-            let beyond_m = reach_m(&visual.mesh) - liver_m;
-            assert!(beyond_m < 0.0055, "{organ}: {} {beyond_m}", visual.name);
-        }
+    let patient = laid(&folder, "liver");
+    let head = Vector3::from(patient.lie.axes_in_scan.map(|[.., z]| z));
+    let reach_m = |visual: &Visual| {
+        let along = visual.mesh.positions.iter();
+        let along = along.map(|at| Vector3::from(at.map(f64::from)).dot(&head));
+        along.fold(f64::NEG_INFINITY, f64::max)
+    };
+    let visuals = patient.visuals_in_scene();
+    let liver_m = reach_m(&visuals[0]);
+    for visual in visuals.iter().filter(|visual| is_neighbour(visual)) {
+        let beyond_m = reach_m(visual) - liver_m;
+        assert!(beyond_m < 0.0055, "{}: {beyond_m}", visual.name);
     }
 }
 
