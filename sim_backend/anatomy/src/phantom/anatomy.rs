@@ -5,7 +5,7 @@
 //! nominal anatomy free of conflicts. The order of parts matters, since later ones carve earlier
 //! ones. Labels are VISTA3D's numbers, so phantoms go through the same tables as scans.
 
-use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Point3, Rotation3, UnitVector3, Vector3};
 
 use super::shape::{Shape, ellipsoid, tube};
 
@@ -135,12 +135,20 @@ fn chest() -> Vec<Part> {
 
 /// Liver, kidneys, spleen, gallbladder, stomach, gullet and pancreas.
 fn upper_abdomen() -> Vec<Part> {
-    let liver = Shape::Blend {
+    // A dome of three lobes under the diaphragm; the visceral face is nearly flat.
+    let lobes = Shape::Blend {
         of: vec![
-            ellipsoid([64.0, 2.0, 28.0], [56.0, 58.0, 66.0]),
-            ellipsoid([18.0, 38.0, 27.0], [38.0, 24.0, 24.0]),
+            ellipsoid([62.0, 4.0, 28.0], [57.0, 58.0, 62.0]),
+            ellipsoid([26.0, 34.0, 34.0], [44.0, 34.0, 36.0]),
+            ellipsoid([-12.0, 50.0, 52.0], [32.0, 18.0, 18.0]),
         ],
-        over: 12.0,
+        over: 26.0,
+    };
+    let liver = Shape::Cut {
+        of: Box::new(lobes),
+        at: Point3::new(50.0, 10.0, -12.0),
+        outward: UnitVector3::new_normalize(Vector3::new(-0.30, -0.45, -0.84)),
+        over: 9.0,
     };
     let stomach = [
         [-46.0, 14.0, 43.0, 19.0],

@@ -4,7 +4,9 @@
 //! rests on distances that change no faster than the place does; an ellipsoid's is like that only
 //! near its surface.
 
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Matrix3, Point3, UnitVector3, Vector3};
+
+use crate::number::real;
 
 /// A solid in the nominal anatomy, mm.
 #[derive(Clone, Debug)]
@@ -20,6 +22,15 @@ pub(super) enum Shape {
     Tube(Vec<(Point3<f64>, f64)>),
     /// Solids that flow into each other over about `over` mm.
     Blend { of: Vec<Shape>, over: f64 },
+    /// What of a solid lies behind a plane, its rim rounded over about `over` mm.
+    Cut {
+        of: Box<Shape>,
+        /// A point of the plane.
+        at: Point3<f64>,
+        /// The plane's unit normal, towards what is cut away.
+        outward: UnitVector3<f64>,
+        over: f64,
+    },
 }
 
 /// An upright ellipsoid.
@@ -86,6 +97,12 @@ impl Shape {
                 .map(|shape| shape.distance(p))
                 .reduce(|a, b| smooth_min(a, b, *over))
                 .unwrap_or(f64::INFINITY),
+            Self::Cut {
+                of,
+                at,
+                outward,
+                over,
+            } => -smooth_min(-of.distance(p), -(p - at).dot(outward), *over),
         }
     }
 
@@ -107,6 +124,17 @@ impl Shape {
             }
             Self::Blend { of, over } => Self::Blend {
                 of: of.iter().map(|shape| shape.varied(by, factor)).collect(),
+                over: *over,
+            },
+            Self::Cut {
+                of,
+                at,
+                outward,
+                over,
+            } => Self::Cut {
+                of: Box::new(of.varied(by, factor)),
+                at: at + by,
+                outward: *outward,
                 over: *over,
             },
         }
@@ -138,9 +166,68 @@ impl Shape {
                 .fold(none, merge),
             Self::Blend { of, over } => {
                 let [low, high] = of.iter().map(Self::bounds).fold(none, merge);
-                // A blend bulges by a quarter of its width at most.
-                [low.add_scalar(-0.25 * over), high.add_scalar(0.25 * over)]
+                // Each further solid bulges by a quarter of the width at most.
+                let bulge = 0.25 * over * real(of.len().saturating_sub(1));
+                [low.add_scalar(-bulge), high.add_scalar(bulge)]
             }
+            Self::Cut { of, .. } => of.bounds(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ball of 20 mm of which a plane through its middle leaves the lower half.
+    fn half_ball() -> Shape {
+        Shape::Cut {
+            of: Box::new(ellipsoid([5.0, 0.0, 0.0], [20.0; 3])),
+            at: Point3::new(5.0, 0.0, 0.0),
+            outward: UnitVector3::new_normalize(Vector3::z()),
+            over: 4.0,
+        }
+    }
+
+    #[test]
+    fn a_cut_solid_ends_at_its_plane_and_is_the_solid_below() {
+        let cut = half_ball();
+        let distance = |z: f64| cut.distance(&Point3::new(5.0, 0.0, z));
+        assert!(distance(1.0) > 0.9 && distance(-1.0) < -0.9 && distance(-1.0) > -1.1);
+        assert!(
+            (distance(-25.0) - 5.0).abs() < 1e-9,
+            "below it is the ball's"
+        );
+        // The rim is rounded by a quarter of `over`, inwards.
+        let rim = cut.distance(&Point3::new(25.0, 0.0, 0.0));
+        assert!((rim - 1.0).abs() < 1e-9, "{rim}");
+    }
+
+    /// On this rests the proof that parts are apart.
+    #[test]
+    fn a_cut_changes_no_faster_than_the_place_does() {
+        let cut = half_ball();
+        for i in 0..20 {
+            let turn = f64::from(i) * 0.7;
+            let p = Point3::new(
+                5.0 + 22.0 * turn.cos(),
+                3.0 * turn.sin(),
+                0.4 * f64::from(i) - 5.0,
+            );
+            let step = Vector3::new(turn.sin(), turn.cos(), 0.5).normalize() * 0.5;
+            let change = cut.distance(&(p + step)) - cut.distance(&p);
+            assert!(change.abs() <= step.norm() + 1e-9, "{change} at {p}");
+        }
+    }
+
+    #[test]
+    fn a_varied_cut_moves_with_its_solid() {
+        let by = Vector3::new(3.0, -2.0, 7.0);
+        let moved = half_ball().varied(&by, 1.0);
+        for z in [-12.0, -0.3, 0.4, 9.0] {
+            let p = Point3::new(9.0, 4.0, z);
+            let difference = moved.distance(&(p + by)) - half_ball().distance(&p);
+            assert!(difference.abs() < 1e-9, "{difference}");
         }
     }
 }

@@ -23,6 +23,9 @@ fn tilted(n: vec3f, slope: vec2f) -> vec3f {
     return normalize(n - slope.x * u - slope.y * v);
 }
 
+// By what fine pictures have steeper flesh (xy) and film (zw).
+const FINE_RELIEF: vec4f = vec4f(1.3, 1.3, 1.7, 1.7);
+
 @fragment
 fn patterned_fragment(in: Varying) -> @location(0) vec4f {
     let at = in.unrolled / PATTERN_SIZE_M + 0.5;
@@ -34,7 +37,10 @@ fn patterned_fragment(in: Varying) -> @location(0) vec4f {
     s.normal = s.mesh_normal;
     s.film_normal = s.mesh_normal;
     if FULL {
-        let slope = object.detail * slopes(at, layer, 0.0);
+        var slope = object.detail * slopes(at, layer, 0.0);
+        if FINE {
+            slope *= FINE_RELIEF;
+        }
         s.normal = rotated(object, tilted(n, slope.xy));
         s.film_normal = rotated(object, tilted(n, slope.zw));
     }
@@ -107,8 +113,9 @@ fn backdrop_vertex(@builtin(vertex_index) index: u32) -> Behind {
 const CAVITY: vec3f = vec3f(0.26, 0.24, 0.20);
 const CAVITY_MIDDLE: f32 = 0.03;
 
-// Levels by which it is out of focus.
+// Levels by which it is out of focus, and in fine pictures.
 const BLUR: f32 = 0.75;
+const FINE_BLUR: f32 = 1.9;
 
 // What is behind everything: a floor, and a wall around it that is the far side of an ellipsoid.
 @fragment
@@ -129,10 +136,11 @@ fn backdrop_fragment(in: Behind) -> @location(0) vec4f {
     let n = select(-normalize(outward), vec3f(0.0, 0.0, 1.0), on_floor);
     let at = (hit.xy - n.xy * (hit.z - frame.floor)) / BACKDROP_SIZE_M + 0.5;
     let layer = i32(frame.backdrop_layer);
-    let painted = textureSampleBias(albedo_map, pattern_sampler, at, layer, BLUR);
+    let blur = select(BLUR, FINE_BLUR, FINE);
+    let painted = textureSampleBias(albedo_map, pattern_sampler, at, layer, blur);
     var bumped = n;
     if FULL {
-        bumped = tilted(n, slopes(at, layer, BLUR).xy);
+        bumped = tilted(n, slopes(at, layer, blur).xy);
     }
     let to_camera = transpose(mat3x3f(
         frame.scene_from_camera[0].xyz,
