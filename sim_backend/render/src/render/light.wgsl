@@ -155,7 +155,8 @@ fn surroundings(direction: vec3f, beam: Beam, roughness: f32) -> vec3f {
     let below = 1.0 - smoothstep(-0.10 - soft, -0.10 + soft, height);
     let above = smoothstep(0.1 - soft, 0.75 + soft, height);
     let power = min(beam.power, 4.0);
-    let floor = mix(frame.bounce, vec3f(dot(frame.bounce, vec3f(0.4))), 0.65) * (0.10 + 0.40 * power);
+    let grey = select(0.65, 0.25, FINE);
+    let floor = mix(frame.bounce, vec3f(dot(frame.bounce, vec3f(0.4))), grey) * (0.10 + 0.40 * power);
     let walls = mix(vec3f(0.05, 0.042, 0.040), vec3f(0.28, 0.26, 0.255), above) * (0.4 + 0.6 * power);
     let towards = max(dot(direction, beam.direction), 0.0);
     let t2 = towards * towards;
