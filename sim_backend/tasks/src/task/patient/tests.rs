@@ -11,7 +11,7 @@ use hal::Pose;
 use hal::config::Source;
 use hal::count::count_u32;
 use nalgebra::Point3;
-use trocar_anatomy::assets::GLB_FILE;
+use trocar_anatomy::assets::{self, GLB_FILE};
 use trocar_anatomy::build::{Options, build, write};
 use trocar_anatomy::groups::Groups;
 use trocar_anatomy::phantom::{self, Size};
@@ -214,13 +214,28 @@ fn a_patient_of_another_program_lies_as_its_nodes_say() {
     fs::create_dir(&others.0).unwrap();
     let file = others.0.join("other.GLB");
     fs::write(&file, bytes).unwrap();
+    // Of two patches that are about as flat rounding may choose another one.
+    let reach = |place: &Path| {
+        let parts = assets::read(place).unwrap();
+        let liver = parts.iter().find(|part| part.name == "liver").unwrap();
+        let at = |axis: usize| liver.mesh.positions.iter().map(move |p| p[axis]);
+        [0, 1, 2].map(|axis| {
+            let least = at(axis).fold(f32::INFINITY, f32::min);
+            [least, at(axis).fold(f32::NEG_INFINITY, f32::max)]
+        })
+    };
+    let (theirs, ours) = (reach(&file), reach(&folder.0));
+    for (theirs, ours) in theirs.iter().flatten().zip(ours.iter().flatten()) {
+        assert!((theirs - ours).abs() < 1e-5, "{theirs} {ours}");
+    }
     let of_others = scene("needle-lift", &file, "liver");
     let task = TaskConfig::parse("needle-lift", &of_others).unwrap();
-    let (theirs, ours) = (task.patient().unwrap(), folder.task("needle-lift"));
-    let ours = ours.patient().unwrap();
-    for axis in 0..3 {
-        let apart_m = theirs.patch_in_scan_m[axis] - ours.patch_in_scan_m[axis];
-        assert!(apart_m.abs() < 2e-3, "{theirs:?} {ours:?}");
+    let lies_m = task.patient().unwrap().patch_in_scan_m;
+    for (at, [least, most]) in lies_m.into_iter().zip(ours) {
+        assert!(
+            (f64::from(least)..f64::from(most)).contains(&at),
+            "{lies_m:?}"
+        );
     }
     assert_eq!(
         closed_loop::run(&task, 0, |_, _| {}).outcome,
@@ -306,27 +321,41 @@ fn a_flap_of_a_liver_stands_out_over_its_incision() {
     assert_eq!((liver.name, flap.name), ("liver", "flap"));
     let looks = |visual: &Visual| visual.material.base_colour.map(f32::to_bits);
     assert_eq!(looks(flap), looks(liver));
-    let before =
-        |p: &&[f32; 3]| p[0].abs() < 0.03 && (-0.036..-0.016).contains(&p[1]) && p[2] > -0.03;
-    let drawn: Vec<_> = liver.mesh.positions.iter().filter(before).collect();
-    assert!(drawn.len() > 1000, "{}", drawn.len());
-    for p in drawn {
+    // Faces up, before the incision; there is no table beyond the organ's rim.
+    let mesh = &liver.mesh;
+    let before = mesh
+        .positions
+        .iter()
+        .zip(&mesh.normals)
+        .filter(|(p, normal)| {
+            p[0].abs() < 0.03 && (-0.036..-0.016).contains(&p[1]) && p[2] > -0.03 && normal[2] > 0.5
+        });
+    let on_table = before.filter_map(|(p, _)| {
         let [x, y, z] = p.map(f64::from);
-        let apart_m = bed.height_m(x, y).unwrap() - z;
+        bed.height_m(x, y).map(|height| (height - z, x, y))
+    });
+    let drawn: Vec<_> = on_table.collect();
+    assert!(drawn.len() > 1000, "{}", drawn.len());
+    for (apart_m, x, y) in drawn {
         // The table's heights are 0.5 mm apart.
         assert!(apart_m.abs() < 5e-4, "{apart_m} at {x}, {y}");
     }
     let world = World::new(&task.world, &scenery, &task.arms);
     let sheet = world.tissue().unwrap().sheet();
     let [columns, rows] = sheet.nodes();
+    let mut over_organ = 0;
     for column in 0..columns {
         let free = sheet.positions()[sheet.node(column, rows - 1)];
-        let gap_m = free.z - bed.height_m(free.x, free.y).unwrap();
-        assert!(gap_m > 0.004, "{gap_m} at {free}");
+        // Beyond the rim there is nothing below it.
+        if let Some(height_m) = bed.height_m(free.x, free.y) {
+            assert!(free.z - height_m > 0.004, "{height_m} at {free}");
+            over_organ += 1;
+        }
         let attached = sheet.positions()[sheet.node(column, 0)];
         let gap_m = attached.z - bed.height_m(attached.x, attached.y).unwrap();
         assert!(gap_m < 0.002, "{gap_m} at {attached}");
     }
+    assert!(2 * over_organ > columns, "{over_organ} of {columns}");
 }
 
 /// The needle of a suture lies on the liver, before the fold, whose foot is in it everywhere.
@@ -348,14 +377,15 @@ fn a_needle_lies_on_a_liver_before_its_fold() {
         });
         let least_m = gaps_m.fold(f64::INFINITY, f64::min);
         assert!((0.0..0.000_3).contains(&least_m), "seed {seed}: {least_m}");
-        // It tips until it rests on three places, and stays there.
-        let mut world = World::new(&task.world, &scenery, &task.arms);
+        // Where it would slide off it is laid elsewhere. It tips until it rests on three places,
+        // and stays there.
+        let mut world = settled(&task, &*task.scene, seed);
         let mut later = |steps: u32| {
             (0..steps).for_each(|_| world.step());
             world.thing_in_scene(0)
         };
-        let (rests, stays) = (later(1500), later(500));
-        let tipped = (rests.translation.vector - lies.translation.vector).norm();
+        let (begins, rests, stays) = (later(0), later(1500), later(500));
+        let tipped = (rests.translation.vector - begins.translation.vector).norm();
         assert!(tipped < 0.004, "seed {seed}: {tipped}");
         let crept = rests.inv_mul(&stays).translation.vector.norm();
         assert!(crept < 5e-5, "seed {seed}: {crept}");
