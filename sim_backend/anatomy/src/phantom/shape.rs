@@ -2,7 +2,7 @@
 //!
 //! Signed distances in the manner of I. Quilez: negative inside. The proof that parts are apart
 //! rests on distances that change no faster than the place does; an ellipsoid's is like that only
-//! near its surface.
+//! near its surface. Blends and cuts change no faster than the solids they are made of.
 
 use nalgebra::{Matrix3, Point3, UnitVector3, Vector3};
 

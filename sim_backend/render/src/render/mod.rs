@@ -92,16 +92,17 @@ pub enum Shading {
     /// For pictures that people look at: edges smoothed over the pixel, light that comes through
     /// thin tissue, hollows that the light from all around does not reach (both baked by rays when
     /// it is chosen first). A software rasteriser
-    /// takes 3.1 times as long (157 and 50 ms a frame, `tests/benches/RESULTS.md`).
+    /// takes 3 to 5 times as long (`tests/benches/RESULTS.md`).
     ///
     /// Shadows have penumbras (percentage-closer soft shadows, R. Fernando, 2005) of a light guide
     /// of 4 mm: they grow with the height of the caster over the surface, up to 3 mm wide.
     ///
-    /// Relief of tissue and of the film on it is steeper than in full shading, so that it glistens
-    /// in more places, and what is behind everything is out of focus. Policies are trained on full
-    /// pictures, which would have to be learned anew.
+    /// Relief of patterned surfaces and of the film on them is steeper than in full shading, so
+    /// that tissue glistens in more places, what is mirrored has more of its colour, and what is
+    /// behind everything is out of focus. Full shading is without these, for policies are trained
+    /// on it.
     Fine,
-    /// Painted colours in the same light without any of these, in 0.56 of the time (28 and 50 ms).
+    /// Painted colours in the same light without any of these, in 0.4 to 0.6 of the time.
     Plain,
 }
 

@@ -23,7 +23,7 @@ fn tilted(n: vec3f, slope: vec2f) -> vec3f {
     return normalize(n - slope.x * u - slope.y * v);
 }
 
-// By what fine pictures have steeper flesh (xy) and film (zw).
+// Factors of the slopes of flesh (xy) and film (zw) in fine pictures.
 const FINE_RELIEF: vec4f = vec4f(1.3, 1.3, 1.7, 1.7);
 
 @fragment
