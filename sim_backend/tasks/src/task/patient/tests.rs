@@ -214,7 +214,7 @@ fn a_patient_of_another_program_lies_as_its_nodes_say() {
     fs::create_dir(&others.0).unwrap();
     let file = others.0.join("other.GLB");
     fs::write(&file, bytes).unwrap();
-    // Of two patches that are about as flat rounding may choose another one.
+    // Its vertices are welded, so other places are tried and another patch may be the flattest.
     let reach = |place: &Path| {
         let parts = assets::read(place).unwrap();
         let liver = parts.iter().find(|part| part.name == "liver").unwrap();
