@@ -1,6 +1,7 @@
 // How surfaces answer the endoscope's light and what is around them.
 
 struct Surface {
+    position: vec3f,
     normal: vec3f,
     // Normal of the film of fluid, which is smoother than the flesh.
     film_normal: vec3f,
@@ -173,9 +174,9 @@ fn surroundings(direction: vec3f, beam: Beam, roughness: f32) -> vec3f {
     return mix(walls, floor, below) + white * (power * (halo * 1.1 + glow));
 }
 
-fn shade(s: Surface, position: vec3f) -> vec3f {
-    let beam = beam_at(position, s.mesh_normal);
-    let v = -normalize(position);
+fn shade(s: Surface) -> vec3f {
+    let beam = beam_at(s.position, s.mesh_normal);
+    let v = -normalize(s.position);
     let l = beam.direction;
     let n_l = dot(s.normal, l);
     let albedo = s.base_colour * (1.0 - s.metallic);

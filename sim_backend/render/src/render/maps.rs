@@ -6,11 +6,11 @@
 
 use super::bake::Paints;
 
-/// How they are bound; the fragment stage alone reads them.
+/// How they are bound; fragments and deferred shading read them.
 pub(super) fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
         binding,
-        visibility: wgpu::ShaderStages::FRAGMENT,
+        visibility: wgpu::ShaderStages::FRAGMENT | wgpu::ShaderStages::COMPUTE,
         ty,
         count: None,
     };

@@ -8,8 +8,8 @@
 //! `light.wgsl`. On one device and driver the same inputs give the same bytes.
 //!
 //! An image: `station` finds targets and records for the camera, `scene` writes the records and
-//! orders the draws, `pipelines` encodes the passes (shadow map, labels, colour), `lens` adds a
-//! pass where there is distortion or dirt, `targets` copies all planes into one staging buffer and
+//! orders the draws, `pipelines` encodes the passes (shadow map, labels, colour), `deferred` shades
+//! most of a fine picture before its colour is drawn, `lens` adds a pass where there is distortion or dirt, `targets` copies all planes into one staging buffer and
 //! unpacks it. Several cameras are submitted before the first is waited for.
 //!
 //! Bind groups: 0 is the frame's record and, at a dynamic offset, the object's (`records`); 1 is
@@ -18,6 +18,7 @@
 
 mod bake;
 mod camera;
+mod deferred;
 mod error;
 mod gpu;
 mod lens;
@@ -97,6 +98,8 @@ pub enum Shading {
     /// Shadows have penumbras (percentage-closer soft shadows, R. Fernando, 2005) of a light guide
     /// of 4 mm: they grow with the height of the caster over the surface, up to 3 mm wide.
     ///
+    /// A GPU shades most of it in a compute pass; pictures are the same but for rounding.
+    ///
     /// Relief of patterned surfaces and of the film on them is steeper than in full shading, so
     /// that tissue glistens in more places, what is mirrored has more of its colour, and what is
     /// behind everything is out of focus. Full shading is without these, for policies are trained
@@ -168,8 +171,8 @@ impl Renderer {
         if shading == Shading::Fine {
             scene.bake(&gpu.queue);
         }
-        let pipelines = Pipelines::new(&gpu.device, &paints, shading);
-        let light = Records::new(&gpu.device, &pipelines.records, scene.part_count());
+        let pipelines = Pipelines::new(&gpu, &paints, shading);
+        let light = Records::new(&gpu.device, pipelines.records(), scene.part_count());
         gpu.finish()?;
         Ok(Self {
             gpu,
@@ -307,9 +310,10 @@ impl Renderer {
         let cameras = views.iter().map(|(camera, _)| camera);
         let plot = Plot {
             device: &self.gpu.device,
-            records: &self.pipelines.records,
+            records: self.pipelines.records(),
             parts: self.scene.part_count(),
             shading: self.shading,
+            deferred: self.pipelines.deferred(),
             size_px_max: self.gpu.size_px_max,
         };
         self.stations.fit(&plot, cameras, &mut self.lens_pass)?;
@@ -377,11 +381,8 @@ impl Renderer {
             &self.scene,
             records,
         );
-        self.pipelines.draw_colour(
-            &mut targets.begin_colour(&mut encoder),
-            &self.scene,
-            records,
-        );
+        self.pipelines
+            .draw_colour(&mut encoder, targets, &self.scene, records);
         if let (Some(lens), Some(pass)) = (lens, &self.lens_pass) {
             lens.place(queue, camera, self.shading.shows_optics());
             pass.draw(&mut targets.begin_picture(&mut encoder), lens);

@@ -1,6 +1,6 @@
 //! The passes: shadow map from the light, then ids and range, then colour from the camera.
 //!
-//! All scene shaders are one module of five files, joined as text; entry points choose the pass.
+//! All scene shaders are one module of six files, joined as text; entry points choose the pass.
 //! Shadow and labels bind group 0 alone and take one sample; colour binds the maps too. Front faces
 //! are counter-clockwise; back faces are culled but in the shadow map, so that open sheets cast
 //! shadows whichever side the light is on. Changing the shading makes new colour pipelines, for it
@@ -8,10 +8,14 @@
 
 use super::bake::{BACKDROP_SIZE_M, PATTERN_SIZE_M, Paints};
 use super::camera::{SHADOW_FAR_M, SHADOW_NEAR_M};
+use super::deferred::Deferred;
+use super::gpu::Gpu;
 use super::records::{self, Records};
 use super::scene::{BAKED_BYTES, Scene, UNROLLED_BYTES, VERTEX_BYTES};
-use super::targets::{FAR, colour_samples, depth_attachment};
-use super::textures::{COLOUR_FORMAT, DEPTH_FORMAT, INSTANCE_FORMAT, RANGE_FORMAT, texture, whole};
+use super::targets::{FAR, Targets, colour_samples, depth_attachment};
+use super::textures::{
+    COLOUR_FORMAT, DEPTH_FORMAT, INSTANCE_FORMAT, KEPT_FORMAT, RANGE_FORMAT, texture, whole,
+};
 use super::{Shading, maps};
 use crate::visual::Pattern;
 
@@ -20,26 +24,36 @@ pub(super) const SHADOW_MAP_PX: u32 = 1024;
 
 /// Pipelines and what they bind.
 pub(super) struct Pipelines {
-    /// Layout of group 0, for whoever makes records.
-    pub(super) records: wgpu::BindGroupLayout,
+    /// What they are made of.
+    shaders: Shaders,
     /// Depth alone, from the light.
     shadow: wgpu::RenderPipeline,
     /// Ids and range, from a camera.
     label: wgpu::RenderPipeline,
     /// Colour, from a camera.
-    colours: Colours,
+    colours: Surfaces,
+    /// In fine shading, where it is wanted.
+    deferred: Option<Deferred>,
+    /// Whether fine shading is deferred.
+    pub(super) defers: bool,
     /// Group 1.
     maps: wgpu::BindGroup,
     /// The shadow map, to draw into.
     shadow_view: wgpu::TextureView,
-    /// Kept for pipelines of another shading.
-    module: wgpu::ShaderModule,
-    /// Groups 0 and 1.
-    colour_layout: wgpu::PipelineLayout,
 }
 
-/// The pipelines of the colour pass.
-struct Colours {
+/// The module of all shaders of the scene, and the layouts that they share.
+pub(super) struct Shaders {
+    /// See the files.
+    pub(super) module: wgpu::ShaderModule,
+    /// Of group 0.
+    records: wgpu::BindGroupLayout,
+    /// Of group 1.
+    maps: wgpu::BindGroupLayout,
+}
+
+/// The pipelines of a pass that looks at surfaces, not at their places alone.
+pub(super) struct Surfaces {
     /// Of patterns that are painted into a layer.
     patterned: wgpu::RenderPipeline,
     /// Of [`Pattern::Smooth`].
@@ -50,9 +64,18 @@ struct Colours {
     backdrop: wgpu::RenderPipeline,
 }
 
-impl Pipelines {
-    /// Compiles all shaders of the scene and makes the shadow map.
-    pub(super) fn new(device: &wgpu::Device, paints: &Paints, shading: Shading) -> Self {
+/// What such a pass makes of surfaces.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Output {
+    /// Their colour in the light.
+    Colour,
+    /// What their colour is worked out from later, with one sample a pixel; in fine shading.
+    Kept,
+}
+
+impl Shaders {
+    /// Compiles all of them.
+    fn new(device: &wgpu::Device) -> Self {
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("scene"),
             source: wgpu::ShaderSource::Wgsl(
@@ -61,12 +84,49 @@ impl Pipelines {
                     include_str!("noise.wgsl"),
                     include_str!("tone.wgsl"),
                     include_str!("light.wgsl"),
-                    include_str!("surface.wgsl")
+                    include_str!("surface.wgsl"),
+                    include_str!("deferred.wgsl")
                 )
                 .into(),
             ),
         });
-        let records = records::layout(device);
+        Self {
+            module,
+            records: records::layout(device),
+            maps: maps::layout(device),
+        }
+    }
+
+    /// Groups 0 and 1, and 2 as `more` has it.
+    pub(super) fn layout(
+        &self,
+        device: &wgpu::Device,
+        more: Option<&wgpu::BindGroupLayout>,
+    ) -> wgpu::PipelineLayout {
+        let mut groups = vec![Some(&self.records), Some(&self.maps)];
+        groups.extend(more.map(Some));
+        layout(device, &groups)
+    }
+}
+
+/// Of these groups.
+fn layout(
+    device: &wgpu::Device,
+    groups: &[Option<&wgpu::BindGroupLayout>],
+) -> wgpu::PipelineLayout {
+    device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: None,
+        bind_group_layouts: groups,
+        immediate_size: 0,
+    })
+}
+
+impl Pipelines {
+    /// Compiles all shaders of the scene and makes the shadow map. On a GPU fine shading is
+    /// deferred.
+    pub(super) fn new(gpu: &Gpu, paints: &Paints, shading: Shading) -> Self {
+        let (device, defers) = (&gpu.device, !gpu.is_software);
+        let shaders = Shaders::new(device);
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
         let shadow_view = texture(
             device,
@@ -77,31 +137,33 @@ impl Pipelines {
             usage,
         )
         .create_view(&wgpu::TextureViewDescriptor::default());
-        let maps_layout = maps::layout(device);
-        let layout = |groups: &[Option<&wgpu::BindGroupLayout>]| {
-            device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-                label: None,
-                bind_group_layouts: groups,
-                immediate_size: 0,
-            })
-        };
-        let plain_layout = layout(&[Some(&records)]);
-        let colour_layout = layout(&[Some(&records), Some(&maps_layout)]);
+        let records_alone = layout(device, &[Some(&shaders.records)]);
         Self {
-            shadow: shadow_pipeline(device, &module, &plain_layout),
-            label: label_pipeline(device, &module, &plain_layout),
-            colours: Colours::new(device, &module, &colour_layout, shading),
-            maps: maps::group(device, &maps_layout, &shadow_view, paints),
-            records,
+            shadow: shadow_pipeline(device, &shaders.module, &records_alone),
+            label: label_pipeline(device, &shaders.module, &records_alone),
+            colours: Surfaces::new(device, &shaders, shading, Output::Colour),
+            deferred: deferred(device, &shaders, shading, defers),
+            defers,
+            maps: maps::group(device, &shaders.maps, &shadow_view, paints),
             shadow_view,
-            module,
-            colour_layout,
+            shaders,
         }
     }
 
     /// Prepares for another kind of shading.
     pub(super) fn set_shading(&mut self, device: &wgpu::Device, shading: Shading) {
-        self.colours = Colours::new(device, &self.module, &self.colour_layout, shading);
+        self.colours = Surfaces::new(device, &self.shaders, shading, Output::Colour);
+        self.deferred = deferred(device, &self.shaders, shading, self.defers);
+    }
+
+    /// Layout of group 0, for whoever makes records.
+    pub(super) const fn records(&self) -> &wgpu::BindGroupLayout {
+        &self.shaders.records
+    }
+
+    /// What shades fine pictures, for whoever makes targets.
+    pub(super) const fn deferred(&self) -> Option<&Deferred> {
+        self.deferred.as_ref()
     }
 
     /// Draws the scene as the light sees it.
@@ -135,40 +197,90 @@ impl Pipelines {
         scene.draw(pass, camera, |_| None);
     }
 
-    /// Draws the scene as the camera sees it, what is behind it last.
+    /// Draws the scene as the camera sees it, on the depth of [`Self::draw_labels`]. Where shading
+    /// is deferred, pixels without an edge are shaded before.
     pub(super) fn draw_colour(
         &self,
-        pass: &mut wgpu::RenderPass<'_>,
+        encoder: &mut wgpu::CommandEncoder,
+        targets: &Targets,
         scene: &Scene,
         camera: &Records,
     ) {
+        let shaded = self.deferred.as_ref().zip(targets.deferred());
+        if let Some((deferred, (kept, depth))) = shaded {
+            let mut pass = kept.begin(encoder, depth);
+            pass.set_bind_group(1, &self.maps, &[]);
+            deferred.surfaces.draw(&mut pass, scene, camera);
+            drop(pass);
+            deferred.shade(encoder, camera, &self.maps, kept);
+        }
+        let mut pass = targets.begin_colour(encoder);
         pass.set_bind_group(1, &self.maps, &[]);
-        scene.draw(pass, camera, |pattern| Some(self.colours.of(pattern)));
-        pass.set_pipeline(&self.colours.backdrop);
-        camera.bind(pass, 0);
-        pass.draw(0..3, 0..1);
+        if let Some((deferred, (kept, _))) = shaded {
+            camera.bind(&mut pass, 0);
+            deferred.fill(&mut pass, kept);
+        }
+        self.colours.draw(&mut pass, scene, camera);
     }
 }
 
-impl Colours {
-    fn new(
-        device: &wgpu::Device,
-        module: &wgpu::ShaderModule,
-        layout: &wgpu::PipelineLayout,
-        shading: Shading,
-    ) -> Self {
-        let pipeline =
-            |vertex, fragment| colour_pipeline(device, module, layout, shading, [vertex, fragment]);
+/// The passes of fine shading alone, where it is deferred.
+fn deferred(
+    device: &wgpu::Device,
+    shaders: &Shaders,
+    shading: Shading,
+    defers: bool,
+) -> Option<Deferred> {
+    (defers && shading == Shading::Fine).then(|| {
+        let surfaces = Surfaces::new(device, shaders, shading, Output::Kept);
+        Deferred::new(device, shaders, surfaces, &constants(shading))
+    })
+}
+
+impl Surfaces {
+    fn new(device: &wgpu::Device, shaders: &Shaders, shading: Shading, output: Output) -> Self {
+        let layout = shaders.layout(device, None);
+        let pipeline = |vertex, fragment| {
+            surface_pipeline(
+                device,
+                &shaders.module,
+                &layout,
+                (shading, output),
+                [vertex, fragment],
+            )
+        };
         let vertex = match shading {
             Shading::Fine => "baked_vertex",
             Shading::Full | Shading::Plain => "scene_vertex",
         };
+        let [patterned, smooth, brushed, backdrop] = match output {
+            Output::Colour => [
+                "patterned_fragment",
+                "smooth_fragment",
+                "brushed_fragment",
+                "backdrop_fragment",
+            ],
+            Output::Kept => [
+                "patterned_kept",
+                "smooth_kept",
+                "brushed_kept",
+                "backdrop_kept",
+            ],
+        };
         Self {
-            patterned: pipeline(vertex, "patterned_fragment"),
-            smooth: pipeline(vertex, "smooth_fragment"),
-            brushed: pipeline(vertex, "brushed_fragment"),
-            backdrop: pipeline(BACKDROP, "backdrop_fragment"),
+            patterned: pipeline(vertex, patterned),
+            smooth: pipeline(vertex, smooth),
+            brushed: pipeline(vertex, brushed),
+            backdrop: pipeline(BACKDROP, backdrop),
         }
+    }
+
+    /// Draws all surfaces, what is behind them last; group 1 is bound.
+    fn draw(&self, pass: &mut wgpu::RenderPass<'_>, scene: &Scene, camera: &Records) {
+        scene.draw(pass, camera, |pattern| Some(self.of(pattern)));
+        pass.set_pipeline(&self.backdrop);
+        camera.bind(pass, 0);
+        pass.draw(0..3, 0..1);
     }
 
     /// One pipeline each for the ways in which a surface gets its colour, not for each pattern.
@@ -292,26 +404,33 @@ fn label_pipeline(
     })
 }
 
-/// `FULL` and `FINE` are constants, so what a shading leaves out is not in its code. With one
-/// sample depth is compared by less or equal with the labels' and not written: only what is seen is
-/// shaded. Both passes compute the same positions bit by bit (`@invariant`).
-fn colour_pipeline(
-    device: &wgpu::Device,
-    module: &wgpu::ShaderModule,
-    layout: &wgpu::PipelineLayout,
-    shading: Shading,
-    [vertex, fragment]: [&'static str; 2],
-) -> wgpu::RenderPipeline {
+/// `FULL` and `FINE` are constants, so what a shading leaves out is not in its code.
+pub(super) fn constants(shading: Shading) -> [(&'static str, f64); 6] {
     let full = shading != Shading::Plain;
-    let samples = colour_samples(shading);
-    let constants = [
+    [
         ("FULL", f64::from(u8::from(full))),
         ("FINE", f64::from(u8::from(shading == Shading::Fine))),
         ("PATTERN_SIZE_M", f64::from(PATTERN_SIZE_M)),
         ("BACKDROP_SIZE_M", f64::from(BACKDROP_SIZE_M)),
         ("SHADOW_NEAR_M", SHADOW_NEAR_M),
         ("SHADOW_FAR_M", SHADOW_FAR_M),
-    ];
+    ]
+}
+
+/// With one sample depth is compared by less or equal with the labels' and not written: only what
+/// is seen is shaded. Both passes compute the same positions bit by bit (`@invariant`).
+fn surface_pipeline(
+    device: &wgpu::Device,
+    module: &wgpu::ShaderModule,
+    layout: &wgpu::PipelineLayout,
+    (shading, output): (Shading, Output),
+    [vertex, fragment]: [&'static str; 2],
+) -> wgpu::RenderPipeline {
+    let (samples, targets) = match output {
+        Output::Colour => (colour_samples(shading), &[whole(COLOUR_FORMAT)][..]),
+        Output::Kept => (1, &[whole(KEPT_FORMAT), whole(KEPT_FORMAT)][..]),
+    };
+    let constants = constants(shading);
     let behind = vertex == BACKDROP;
     let compilation_options = wgpu::PipelineCompilationOptions {
         constants: &constants,
@@ -346,7 +465,7 @@ fn colour_pipeline(
             module,
             entry_point: Some(fragment),
             compilation_options,
-            targets: &[whole(COLOUR_FORMAT)],
+            targets,
         }),
         multiview_mask: None,
         cache: None,

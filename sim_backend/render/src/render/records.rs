@@ -8,7 +8,7 @@
 //! before they are rounded.
 //!
 //! Bind group 0: binding 0 is the frame's record, binding 1 the object's at a dynamic offset of
-//! `index * OBJECT_STRIDE`; both in vertex and fragment stages.
+//! `index * OBJECT_STRIDE`; both in all stages.
 
 use core::num::NonZero;
 
@@ -20,8 +20,8 @@ use super::{Camera, Light};
 use crate::visual::Backdrop;
 
 /// Bytes of one object record: a matrix (64), colour and metallic (16), roughness, wetness, detail
-/// and id (16), layer and tint (16).
-const OBJECT_BYTES: u64 = 112;
+/// and id (16), layer and tint (16), its number (4) and 12 of padding.
+const OBJECT_BYTES: u64 = 128;
 
 /// From one object record to the next, bytes: what every device can bind at.
 pub(super) const OBJECT_STRIDE: u32 = 256;
@@ -45,6 +45,11 @@ impl Records {
     /// Binds the frame's record and that of the object `index`.
     pub(super) fn bind(&self, pass: &mut wgpu::RenderPass<'_>, index: u32) {
         pass.set_bind_group(0, &self.group, &[OBJECT_STRIDE * index]);
+    }
+
+    /// Binds the frame's record for a pass that knows no objects.
+    pub(super) fn bind_frame(&self, pass: &mut wgpu::ComputePass<'_>) {
+        pass.set_bind_group(0, &self.group, &[0]);
     }
 
     /// Room for `parts` objects.
@@ -90,7 +95,7 @@ impl Records {
 pub(super) fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let entry = |binding, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
         binding,
-        visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
+        visibility: wgpu::ShaderStages::VERTEX_FRAGMENT | wgpu::ShaderStages::COMPUTE,
         ty: wgpu::BindingType::Buffer {
             ty: wgpu::BufferBindingType::Uniform,
             has_dynamic_offset,

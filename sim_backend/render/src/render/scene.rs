@@ -46,6 +46,8 @@ struct Part {
     layer: f32,
     /// Factors of its linear colour.
     tint: [f32; 3],
+    /// Counts the parts, from 1; see `deferred.wgsl`.
+    number: u16,
     instance: u8,
 }
 
@@ -91,7 +93,9 @@ impl Scene {
             let base_vertex = i32::try_from(vertex_count).map_err(|_| too_many())?;
             let end = index_count.checked_add(new_indices).ok_or_else(too_many)?;
             let layer = paints.layer(&Wanted::of(visual));
-            parts.push(Part::new(visual, layer, index_count..end, base_vertex));
+            let number = u16::try_from(parts.len() + 1).unwrap_or(u16::MAX);
+            let drawn = (index_count..end, base_vertex);
+            parts.push(Part::new(visual, layer, drawn, number));
             index_count = end;
             vertex_count = vertex_count
                 .checked_add(new_vertices)
@@ -275,7 +279,12 @@ fn unrolled(position: &[f32; 3], normal: &[f32; 3]) -> [f32; 2] {
 }
 
 impl Part {
-    fn new(visual: &Visual, layer: f32, indices: core::ops::Range<u32>, base_vertex: i32) -> Self {
+    fn new(
+        visual: &Visual,
+        layer: f32,
+        (indices, base_vertex): (core::ops::Range<u32>, i32),
+        number: u16,
+    ) -> Self {
         let (centre, radius_m) = ball(&visual.mesh);
         Self {
             name: visual.name,
@@ -287,6 +296,7 @@ impl Part {
             material: visual.material,
             layer,
             tint: [1.0; 3],
+            number,
             instance: visual.instance,
         }
     }
@@ -308,6 +318,7 @@ impl Part {
             ],
         );
         put(bytes, &self.tint);
+        put(bytes, &[f32::from(self.number)]);
     }
 }
 

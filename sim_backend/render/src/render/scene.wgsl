@@ -59,6 +59,8 @@ struct Object {
     tint_red: f32,
     tint_green: f32,
     tint_blue: f32,
+    // Counts what is drawn, from 1.
+    part: f32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

@@ -5,6 +5,7 @@
 //! again. From `KEPT` stations on, those that the present call does not use are dropped before
 //! another one is made; a call with more cameras still gets one for each.
 
+use super::deferred::Deferred;
 use super::lens::{LensPass, Window};
 use super::records::Records;
 use super::targets::Targets;
@@ -39,6 +40,8 @@ pub(super) struct Plot<'a> {
     pub(super) parts: usize,
     /// It decides samples a pixel, and whether optics are shown.
     pub(super) shading: Shading,
+    /// Where shading is deferred.
+    pub(super) deferred: Option<&'a Deferred>,
     /// Largest side of an image, pixels.
     pub(super) size_px_max: u32,
 }
@@ -64,7 +67,13 @@ impl Plot<'_> {
             None
         };
         Ok(Station {
-            targets: Targets::new(self.device, &camera.intrinsics, self.shading, lens),
+            targets: Targets::new(
+                self.device,
+                &camera.intrinsics,
+                self.shading,
+                lens,
+                self.deferred,
+            ),
             records: Records::new(self.device, self.records, self.parts),
         })
     }

@@ -26,13 +26,13 @@ fn tilted(n: vec3f, slope: vec2f) -> vec3f {
 // Factors of the slopes of flesh (xy) and film (zw) in fine pictures.
 const FINE_RELIEF: vec4f = vec4f(1.3, 1.3, 1.7, 1.7);
 
-@fragment
-fn patterned_fragment(in: Varying) -> @location(0) vec4f {
+fn patterned(in: Varying) -> Surface {
     let at = in.unrolled / PATTERN_SIZE_M + 0.5;
     let layer = i32(object.layer);
     let painted = textureSample(albedo_map, pattern_sampler, at, layer);
     let n = normalize(in.object_normal);
     var s: Surface;
+    s.position = in.position;
     s.mesh_normal = rotated(object, n);
     s.normal = s.mesh_normal;
     s.film_normal = s.mesh_normal;
@@ -53,12 +53,17 @@ fn patterned_fragment(in: Varying) -> @location(0) vec4f {
         s.open *= in.baked.x;
         s.through = in.baked.y;
     }
-    return exposed(shade(s, in.position));
+    return s;
 }
 
 @fragment
-fn smooth_fragment(in: Varying) -> @location(0) vec4f {
+fn patterned_fragment(in: Varying) -> @location(0) vec4f {
+    return exposed(shade(patterned(in)));
+}
+
+fn smooth_surface(in: Varying) -> Surface {
     var s: Surface;
+    s.position = in.position;
     s.mesh_normal = rotated(object, normalize(in.object_normal));
     s.normal = s.mesh_normal;
     s.film_normal = s.mesh_normal;
@@ -67,14 +72,19 @@ fn smooth_fragment(in: Varying) -> @location(0) vec4f {
     s.roughness = object.roughness;
     s.wetness = object.wetness;
     s.open = select(1.0, in.baked.x, FINE);
-    return exposed(shade(s, in.position));
+    return s;
+}
+
+@fragment
+fn smooth_fragment(in: Varying) -> @location(0) vec4f {
+    return exposed(shade(smooth_surface(in)));
 }
 
 // Machined metal: fine grooves around the object's z axis and slightly uneven polish.
-@fragment
-fn brushed_fragment(in: Varying) -> @location(0) vec4f {
+fn brushed(in: Varying) -> Surface {
     let n = normalize(in.object_normal);
     var s: Surface;
+    s.position = in.position;
     s.mesh_normal = rotated(object, n);
     s.normal = s.mesh_normal;
     s.base_colour = tinted(object, object.base_colour);
@@ -94,7 +104,12 @@ fn brushed_fragment(in: Varying) -> @location(0) vec4f {
     s.metallic = object.metallic;
     s.wetness = object.wetness;
     s.open = select(1.0, in.baked.x, FINE);
-    return exposed(shade(s, in.position));
+    return s;
+}
+
+@fragment
+fn brushed_fragment(in: Varying) -> @location(0) vec4f {
+    return exposed(shade(brushed(in)));
 }
 
 struct Behind {
@@ -118,8 +133,7 @@ const BLUR: f32 = 0.75;
 const FINE_BLUR: f32 = 1.9;
 
 // What is behind everything: a floor, and a wall around it that is the far side of an ellipsoid.
-@fragment
-fn backdrop_fragment(in: Behind) -> @location(0) vec4f {
+fn behind(in: Behind) -> Surface {
     let ray = vec3f((in.clip.xy - frame.lens.xy) * frame.lens.zw, 1.0);
     let d = (frame.scene_from_camera * vec4f(ray, 0.0)).xyz;
     let eye = frame.scene_from_camera[3].xyz;
@@ -148,6 +162,7 @@ fn backdrop_fragment(in: Behind) -> @location(0) vec4f {
         frame.scene_from_camera[2].xyz,
     ));
     var s: Surface;
+    s.position = distance * ray;
     s.mesh_normal = to_camera * n;
     s.normal = to_camera * bumped;
     s.film_normal = s.normal;
@@ -157,5 +172,10 @@ fn backdrop_fragment(in: Behind) -> @location(0) vec4f {
     s.wetness = frame.backdrop_wetness * share * share;
     s.open = painted.a;
     s.flesh = min(2.0 * frame.backdrop_wetness, 1.0);
-    return exposed(shade(s, distance * ray));
+    return s;
+}
+
+@fragment
+fn backdrop_fragment(in: Behind) -> @location(0) vec4f {
+    return exposed(shade(behind(in)));
 }

@@ -1,8 +1,8 @@
 //! The images on the device and the way they come back: one staging buffer, mapped once a frame.
 //!
 //! Ids and range are drawn first, with one sample a pixel and no blending. Colour follows in a pass
-//! of its own: smoothed over the pixel by several samples, or with one sample on the first pass's
-//! depth. Where there is a lens these are images of its own, and a last pass makes the picture of
+//! of its own: smoothed over the pixel by several samples, on a GPU after pixels without an edge
+//! were shaded (`deferred`), or with one sample on the first pass's depth. Where there is a lens these are images of its own, and a last pass makes the picture of
 //! them.
 //!
 //! Rows in the staging buffer begin at multiples of 256 bytes, as copies demand; unpacking leaves
@@ -14,6 +14,7 @@ use hal::count::index;
 use super::Planes;
 use super::RenderError;
 use super::Shading;
+use super::deferred::{Deferred, Kept};
 use super::gpu::Gpu;
 use super::lens::{Lens, LensPass, Window};
 use super::textures::{
@@ -59,22 +60,25 @@ pub(super) struct Targets {
     instance: Plane,
     /// The picture's depth, m.
     range: Plane,
-    /// Visibility of the labels; colour with one sample is drawn on it.
+    /// Visibility of the labels; what takes one sample is drawn on it.
     depth: wgpu::TextureView,
     /// Colour and depth of all samples.
     samples: Option<[wgpu::TextureView; 2]>,
+    /// What is shaded before colour is drawn, where shading is deferred.
+    kept: Option<Kept>,
     /// All three planes, one after the other; mapped once an image.
     staging: wgpu::Buffer,
 }
 
 impl Targets {
     /// For pictures of `intrinsics`, with the pass of a lens that shows `lens` of the scene if
-    /// there is one.
+    /// there is one, and with what `deferred` reads if shading is deferred.
     pub(super) fn new(
         device: &wgpu::Device,
         intrinsics: &Intrinsics,
         shading: Shading,
         lens: Option<(&LensPass, Window)>,
+        deferred: Option<&Deferred>,
     ) -> Self {
         let (width, height) = (intrinsics.width, intrinsics.height);
         let mut end = 0;
@@ -120,6 +124,7 @@ impl Targets {
                 drawn("depth samples", DEPTH_FORMAT, per_pixel),
             ]
         });
+        let kept = deferred.map(|deferred| Kept::new(device, deferred, &image));
         let staging = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read-back"),
             size: end,
@@ -135,6 +140,7 @@ impl Targets {
             range,
             depth,
             samples,
+            kept,
             staging,
         }
     }
@@ -186,10 +192,6 @@ impl Targets {
         encoder: &'pass mut wgpu::CommandEncoder,
     ) -> wgpu::RenderPass<'pass> {
         let nothing = wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT);
-        let store = match self.samples {
-            Some(_) => wgpu::StoreOp::Discard,
-            None => wgpu::StoreOp::Store,
-        };
         let [_, instance, range] = self.drawn();
         encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("labels"),
@@ -197,9 +199,19 @@ impl Targets {
                 Some(attachment(instance, nothing)),
                 Some(attachment(range, nothing)),
             ],
-            depth_stencil_attachment: Some(depth_attachment(&self.depth, FAR, store)),
+            depth_stencil_attachment: Some(depth_attachment(
+                &self.depth,
+                FAR,
+                wgpu::StoreOp::Store,
+            )),
             ..Default::default()
         })
+    }
+
+    /// What is shaded after [`Self::begin_labels`] and before [`Self::begin_colour`], and the depth
+    /// of the labels.
+    pub(super) fn deferred(&self) -> Option<(&Kept, &wgpu::TextureView)> {
+        self.kept.as_ref().map(|kept| (kept, &self.depth))
     }
 
     /// Starts the pass that draws colour, after [`Self::begin_labels`].

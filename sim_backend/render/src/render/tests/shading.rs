@@ -11,6 +11,17 @@ fn grey(frame: &CameraFrame, pixel: usize) -> f64 {
     bytes.iter().map(|byte| f64::from(*byte)).sum::<f64>() / 3.0
 }
 
+/// Chooses fine shading, and whether it is deferred, whatever the device is.
+fn make_fine(renderer: &mut Renderer, defers: bool) {
+    renderer.set_shading(Shading::Fine);
+    renderer.pipelines.defers = defers;
+    renderer
+        .pipelines
+        .set_shading(&renderer.gpu.device, Shading::Fine);
+    renderer.stations = Stations::default();
+    assert_eq!(renderer.pipelines.deferred().is_some(), defers);
+}
+
 #[test]
 fn a_camera_beside_sees_the_shadow_that_the_endoscope_casts() {
     let plain = Material {
@@ -142,16 +153,18 @@ fn edges_are_smooth_in_colour_and_sharp_in_ids() {
     let turned = Pose::rotation(Vector3::new(0.0, 0.0, 0.3));
     let poses = [at(0.0, 0.0, 0.1) * turned, at(0.0, 0.0, 0.15)];
     let full = shoot(&mut renderer, &poses, &camera);
-    renderer.set_shading(Shading::Fine);
-    let fine = shoot(&mut renderer, &poses, &camera);
-    assert!(fine.instance.iter().all(|id| [100, 200].contains(id)));
     // On the wall the box's shadow has an edge, too.
     let inside = within(&full, 200);
-    let changed = |pixel: &usize| (grey(&full, *pixel) - grey(&fine, *pixel)).abs() > 12.0;
-    let at_edges = (0..full.instance.len()).filter(changed).count();
-    assert!((40..400).contains(&at_edges), "{at_edges}");
-    let elsewhere = inside.iter().filter(|pixel| changed(pixel)).count();
-    assert_eq!(elsewhere, 0);
+    for defers in [false, true] {
+        make_fine(&mut renderer, defers);
+        let fine = shoot(&mut renderer, &poses, &camera);
+        assert!(fine.instance.iter().all(|id| [100, 200].contains(id)));
+        let changed = |pixel: &usize| (grey(&full, *pixel) - grey(&fine, *pixel)).abs() > 12.0;
+        let at_edges = (0..full.instance.len()).filter(changed).count();
+        assert!((40..400).contains(&at_edges), "{at_edges}");
+        let elsewhere = inside.iter().filter(|pixel| changed(pixel)).count();
+        assert_eq!(elsewhere, 0);
+    }
 }
 
 /// How many pixels of a plane below a ball at `height_m` are in penumbra: they get more light than
@@ -193,6 +206,32 @@ fn a_fine_shadow_of_a_higher_caster_has_a_wider_edge() {
     });
     // Against the edges of full shading, which are four taps wide whatever casts them.
     assert!(high > 1.6 && high > 2.5 * low && low < 1.5, "{low} {high}");
+}
+
+/// A pinhole, and a lens whose picture is made from a larger one.
+#[test]
+fn a_deferred_picture_is_the_one_that_is_drawn_at_once() {
+    let (visuals, poses) = lift_scene();
+    let bent = Distortion::new([-0.5, 0.2, 0.01, -0.015]);
+    let mut renderer = Renderer::new(&visuals).unwrap();
+    for distortion in [Distortion::NONE, bent] {
+        let mut camera = endoscope(260);
+        camera.intrinsics.distortion = distortion;
+        let [at_once, deferred] = [false, true].map(|defers| {
+            make_fine(&mut renderer, defers);
+            shoot(&mut renderer, &poses, &camera)
+        });
+        assert!(at_once.instance == deferred.instance && at_once.depth_m == deferred.depth_m);
+        // The middle of a pixel is not where each of its triangles is covered.
+        let bytes = at_once.colour.iter().zip(&deferred.colour);
+        let apart: Vec<u8> = bytes.map(|(a, b)| a.abs_diff(*b)).collect();
+        let over = |most: u8| apart.iter().filter(|apart| **apart > most).count();
+        let (some, far) = (over(4), over(40));
+        assert!(
+            0 < some && some * 50 < apart.len() && far * 5000 < apart.len(),
+            "{some} {far}"
+        );
+    }
 }
 
 #[test]
