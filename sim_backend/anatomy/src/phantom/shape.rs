@@ -229,5 +229,42 @@ mod tests {
             let difference = moved.distance(&(p + by)) - half_ball().distance(&p);
             assert!(difference.abs() < 1e-9, "{difference}");
         }
+        // A greater one is cut by the same plane.
+        let greater = half_ball().varied(&Vector3::zeros(), 1.2);
+        let distance = |z: f64| greater.distance(&Point3::new(5.0, 0.0, z));
+        assert!(
+            (distance(-25.0) - 1.0).abs() < 1e-9 && distance(-1.0) < 0.0 && distance(1.0) > 0.9
+        );
+    }
+
+    /// The lobes of a liver are no balls, whose distance is exact.
+    #[test]
+    fn a_cut_lobe_changes_hardly_faster_than_the_place_does_near_its_surface() {
+        let cut = Shape::Cut {
+            of: Box::new(ellipsoid([0.0; 3], [60.0, 45.0, 32.0])),
+            at: Point3::new(0.0, 0.0, 8.0),
+            outward: UnitVector3::new_normalize(Vector3::new(0.2, -0.1, 1.0)),
+            over: 6.0,
+        };
+        let mut near = 0;
+        let mut greatest = 0.0_f64;
+        for i in 0..12_000 {
+            let [x, y, z] = [i / 600, i / 20 % 30, i % 20].map(f64::from);
+            let p = Point3::new(7.0 * x - 66.0, 3.5 * y - 52.0, 4.0 * z - 40.0);
+            let here = cut.distance(&p);
+            if here.abs() > 3.0 {
+                continue;
+            }
+            near += 1;
+            for axis in 0..3 {
+                let step = Vector3::ith(axis, 0.01);
+                let change = (cut.distance(&(p + step)) - here).abs() / 0.01;
+                greatest = greatest.max(change);
+            }
+        }
+        assert!(
+            near > 500 && greatest > 0.9 && greatest < 1.1,
+            "{near} {greatest}"
+        );
     }
 }

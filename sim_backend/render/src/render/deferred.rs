@@ -3,18 +3,19 @@
 //! processors for it that it has for fragments; a software rasteriser, which has the same for both,
 //! draws colour at once.
 //!
-//! Pixels that an edge crosses are not shaded so: the colour pass, which takes several samples a
-//! pixel, finds the others filled with a depth nearer than anything, and shades only these. Group
-//! 2: 0 and 1 the two images, 2 what they are shaded into; to fill, 3 the same to read.
+//! Then colour is drawn with several samples a pixel, each of which takes that of the nearest pixel
+//! that shows its surface, so edges are smooth. What is seen in no pixel's middle is not seen, and
+//! triangles that are smaller than a pixel are not blended. Group 2: 0 and 1 the two images, 2 what
+//! they are shaded into, 3 the same to read.
 
 use hal::Intrinsics;
 
 use super::Shading;
-use super::pipelines::{Shaders, Surfaces};
+use super::pipelines::{BACKDROP, Shaders, Surfaces, VERTEX, culled, unbiased, visibility};
 use super::records::Records;
-use super::targets::colour_samples;
-use super::targets::depth_attachment;
-use super::textures::{COLOUR_FORMAT, DEPTH_FORMAT, KEPT_FORMAT, cleared, texture, whole};
+use super::scene::Scene;
+use super::targets::{colour_samples, depth_attachment};
+use super::textures::{COLOUR_FORMAT, KEPT_FORMAT, cleared, texture, whole};
 
 /// Pixels of a workgroup across and down, as in `deferred.wgsl`.
 const GROUP_PX: u32 = 8;
@@ -25,11 +26,13 @@ pub(super) struct Deferred {
     pub(super) surfaces: Surfaces,
     /// Group 2 of the pass that shades.
     kept_layout: wgpu::BindGroupLayout,
-    /// Group 2 of what fills.
+    /// Group 2 of the pass that draws.
     shaded_layout: wgpu::BindGroupLayout,
     shade: wgpu::ComputePipeline,
+    /// Of all surfaces.
+    sample: wgpu::RenderPipeline,
     /// A triangle over the image.
-    fill: wgpu::RenderPipeline,
+    backdrop: wgpu::RenderPipeline,
 }
 
 /// What one camera keeps.
@@ -40,7 +43,7 @@ pub(super) struct Kept {
     size: [u32; 2],
     /// To shade.
     group: wgpu::BindGroup,
-    /// To fill.
+    /// To draw.
     shaded: wgpu::BindGroup,
 }
 
@@ -64,17 +67,21 @@ impl Deferred {
             },
             cache: None,
         });
-        let fill = fill_pipeline(device, shaders, &shaded_layout);
+        let layout = shaders.layout(device, Some(&shaded_layout));
+        let sample = |vertex, fragment| {
+            sample_pipeline(device, &shaders.module, &layout, [vertex, fragment])
+        };
         Self {
             surfaces,
             kept_layout,
             shaded_layout,
             shade,
-            fill,
+            sample: sample("sampled_vertex", "sampled_fragment"),
+            backdrop: sample(BACKDROP, "backdrop_sampled"),
         }
     }
 
-    /// Works out the colours of what is kept but where an edge is.
+    /// Works out the colours of what is kept.
     pub(super) fn shade(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -94,10 +101,19 @@ impl Deferred {
         pass.dispatch_workgroups(across, down, 1);
     }
 
-    /// Fills a colour pass, whose groups 0 and 1 are bound, with these colours.
-    pub(super) fn fill(&self, pass: &mut wgpu::RenderPass<'_>, kept: &Kept) {
-        pass.set_pipeline(&self.fill);
+    /// Draws a colour pass, whose group 1 is bound, with these colours.
+    pub(super) fn draw(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        scene: &Scene,
+        camera: &Records,
+        kept: &Kept,
+    ) {
         pass.set_bind_group(2, &kept.shaded, &[]);
+        pass.set_pipeline(&self.sample);
+        scene.draw(pass, camera, |_| None);
+        pass.set_pipeline(&self.backdrop);
+        camera.bind(pass, 0);
         pass.draw(0..3, 0..1);
     }
 }
@@ -138,7 +154,7 @@ impl Kept {
                 &deferred.kept_layout,
                 &[(0, looks), (1, shape), (2, &shaded)],
             ),
-            shaded: group(&deferred.shaded_layout, &[(3, &shaded)]),
+            shaded: group(&deferred.shaded_layout, &[(1, shape), (3, &shaded)]),
             views,
             size,
         }
@@ -160,7 +176,7 @@ impl Kept {
     }
 }
 
-/// Of group 2: to shade, and to fill.
+/// Of group 2: to shade, and to draw.
 fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 2] {
     let read = |sample_type| wgpu::BindingType::Texture {
         sample_type,
@@ -185,7 +201,11 @@ fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 2] {
         entry(2, compute, written),
     ];
     let unfiltered = read(wgpu::TextureSampleType::Float { filterable: false });
-    let shaded = [entry(3, wgpu::ShaderStages::FRAGMENT, unfiltered)];
+    let fragment = wgpu::ShaderStages::FRAGMENT;
+    let shaded = [
+        entry(1, fragment, read(wgpu::TextureSampleType::Uint)),
+        entry(3, fragment, unfiltered),
+    ];
     [&kept[..], &shaded[..]].map(|entries| {
         device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("kept"),
@@ -194,36 +214,36 @@ fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 2] {
     })
 }
 
-/// A triangle that is nearer than anything, whose pixels without a colour are left out.
-fn fill_pipeline(
+/// Several samples a pixel, each with a colour that is there already.
+fn sample_pipeline(
     device: &wgpu::Device,
-    shaders: &Shaders,
-    shaded: &wgpu::BindGroupLayout,
+    module: &wgpu::ShaderModule,
+    layout: &wgpu::PipelineLayout,
+    [vertex, fragment]: [&'static str; 2],
 ) -> wgpu::RenderPipeline {
+    let behind = vertex == BACKDROP;
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("fill"),
-        layout: Some(&shaders.layout(device, Some(shaded))),
+        label: Some(fragment),
+        layout: Some(layout),
         vertex: wgpu::VertexState {
-            module: &shaders.module,
-            entry_point: Some("shaded_vertex"),
+            module,
+            entry_point: Some(vertex),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: &[],
+            buffers: if behind { &[] } else { &[Some(VERTEX)] },
         },
-        primitive: wgpu::PrimitiveState::default(),
+        primitive: culled(),
         depth_stencil: Some(wgpu::DepthStencilState {
-            format: DEPTH_FORMAT,
-            depth_write_enabled: Some(true),
-            depth_compare: Some(wgpu::CompareFunction::Always),
-            stencil: wgpu::StencilState::default(),
-            bias: wgpu::DepthBiasState::default(),
+            depth_write_enabled: Some(!behind),
+            depth_compare: Some(wgpu::CompareFunction::LessEqual),
+            ..visibility(unbiased())
         }),
         multisample: wgpu::MultisampleState {
             count: colour_samples(Shading::Fine),
             ..Default::default()
         },
         fragment: Some(wgpu::FragmentState {
-            module: &shaders.module,
-            entry_point: Some("shaded_fragment"),
+            module,
+            entry_point: Some(fragment),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             targets: &[whole(COLOUR_FORMAT)],
         }),

@@ -1,5 +1,6 @@
 // Deferred shading: what is seen in the middle of each pixel is kept in two images (the G-buffer) and shaded by a compute pass,
-// which a GPU runs on more processors than fragments. Pixels with an edge are left to the fragments, whose samples smooth it.
+// which a GPU runs on more processors than fragments. Then the scene is drawn with several samples a pixel, each of which takes the
+// colour of the nearest pixel that shows its surface.
 
 @group(2) @binding(0) var looks_kept: texture_2d<u32>;
 @group(2) @binding(1) var shape_kept: texture_2d<u32>;
@@ -66,30 +67,6 @@ fn part_of(shape: vec4u) -> u32 {
     return shape.x & 0xffffffu;
 }
 
-// Cosine of the angle between the normals of neighbours, and share by which one over the distance may leave the line
-// through both neighbours, beyond which an edge lies between them. On a plane it is on that line.
-const CREASE: f32 = 0.9;
-const STEP: f32 = 0.004;
-
-// Whether an edge may cross the pixel: where one crosses and leaves its middle and those of its four neighbours on one side, it is
-// too near to a corner for any sample.
-fn has_edge(at: vec2i, own: vec4u) -> bool {
-    let last = vec2i(textureDimensions(shape_kept)) - 1;
-    let normal = direction(own.z);
-    let near = 1.0 / bitcast<f32>(own.y);
-    var found = false;
-    for (var axis = 0; axis < 2; axis++) {
-        let step = select(vec2i(0, 1), vec2i(1, 0), axis == 0);
-        let before = textureLoad(shape_kept, max(at - step, vec2i(0)), 0);
-        let after = textureLoad(shape_kept, min(at + step, last), 0);
-        let bend = 1.0 / bitcast<f32>(before.y) + 1.0 / bitcast<f32>(after.y) - 2.0 * near;
-        let turn = min(dot(direction(before.z), normal), dot(direction(after.z), normal));
-        found |= part_of(before) != part_of(own) || part_of(after) != part_of(own);
-        found |= abs(bend) > STEP * near || turn < CREASE;
-    }
-    return found;
-}
-
 @compute @workgroup_size(8, 8)
 fn shade_kept(@builtin(global_invocation_id) pixel: vec3u) {
     let at = vec2i(pixel.xy);
@@ -97,10 +74,6 @@ fn shade_kept(@builtin(global_invocation_id) pixel: vec3u) {
         return;
     }
     let shape = textureLoad(shape_kept, at, 0);
-    if has_edge(at, shape) {
-        textureStore(shaded_to, at, vec4f(0.0));
-        return;
-    }
     let looks = textureLoad(looks_kept, at, 0);
     let red_green = unpack2x16float(looks.z);
     let blue_open = unpack2x16float(shape.w);
@@ -120,20 +93,59 @@ fn shade_kept(@builtin(global_invocation_id) pixel: vec3u) {
     textureStore(shaded_to, at, exposed(shade(s)));
 }
 
-// A triangle over the whole image, nearer than anything.
-@vertex
-fn shaded_vertex(@builtin(vertex_index) index: u32) -> Behind {
-    let x = f32(i32(index & 1u) * 4 - 1);
-    let y = f32(i32(index >> 1u) * 4 - 1);
-    return Behind(vec4f(x, y, 0.0, 1.0));
+struct Sampled {
+    @builtin(position) @invariant clip: vec4f,
+    @interpolate(perspective, centroid) @location(0) normal: vec3f,
+    @interpolate(perspective, centroid) @location(1) range: f32,
+    @interpolate(flat) @location(2) part: u32,
 }
 
-// Fills what is shaded already and hides what would be drawn there.
-@fragment
-fn shaded_fragment(in: Behind) -> @location(0) vec4f {
-    let colour = textureLoad(shaded, vec2i(in.clip.xy), 0);
-    if colour.a == 0.0 {
-        discard;
+@vertex
+fn sampled_vertex(@location(0) position: vec3f, @location(1) normal: vec3f) -> Sampled {
+    let in_camera = object.camera_from_object * vec4f(position, 1.0);
+    return Sampled(frame.clip_from_camera * in_camera, rotated(object, normal), in_camera.z, u32(object.part));
+}
+
+// How unlike what a pixel shows is to a place of `part`: another part counts most, then a crease, then a step in depth.
+fn unlike(shape: vec4u, part: u32, range: f32, normal: vec3f) -> f32 {
+    let apart = abs(bitcast<f32>(shape.y) - range) / range;
+    let turned = 1.0 - dot(direction(shape.z), normal);
+    return select(0.0, 1e3, part_of(shape) != part) + 10.0 * turned + 100.0 * apart;
+}
+
+// What is about as like as the middle of the pixel itself would be.
+const ALIKE: f32 = 1.0;
+
+// The colour of the pixel at `at`, or of what around it is more like.
+fn nearest_shaded(at: vec2i, part: u32, range: f32, normal: vec3f) -> vec4f {
+    let last = vec2i(textureDimensions(shape_kept)) - 1;
+    var best = at;
+    var least = unlike(textureLoad(shape_kept, at, 0), part, range, normal);
+    if least > ALIKE {
+        for (var index = 0; index < 9; index++) {
+            let around = clamp(at + vec2i(index % 3, index / 3) - 1, vec2i(0), last);
+            let found = unlike(textureLoad(shape_kept, around, 0), part, range, normal);
+            if found < least {
+                least = found;
+                best = around;
+            }
+        }
     }
-    return colour;
+    return textureLoad(shaded, best, 0);
+}
+
+@fragment
+fn sampled_fragment(in: Sampled) -> @location(0) vec4f {
+    return nearest_shaded(vec2i(in.clip.xy), in.part, in.range, normalize(in.normal));
+}
+
+// Of what is behind everything neither depth nor creases count.
+@fragment
+fn backdrop_sampled(in: Behind) -> @location(0) vec4f {
+    let at = vec2i(in.clip.xy);
+    let own = textureLoad(shape_kept, at, 0);
+    if part_of(own) == 0u {
+        return textureLoad(shaded, at, 0);
+    }
+    return nearest_shaded(at, 0u, 1.0, direction(own.z));
 }

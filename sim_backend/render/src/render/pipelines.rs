@@ -31,9 +31,7 @@ pub(super) struct Pipelines {
     /// Ids and range, from a camera.
     label: wgpu::RenderPipeline,
     /// Colour, from a camera.
-    colours: Surfaces,
-    /// In fine shading, where it is wanted.
-    deferred: Option<Deferred>,
+    colours: Colours,
     /// Whether fine shading is deferred.
     pub(super) defers: bool,
     /// Group 1.
@@ -50,6 +48,14 @@ pub(super) struct Shaders {
     records: wgpu::BindGroupLayout,
     /// Of group 1.
     maps: wgpu::BindGroupLayout,
+}
+
+/// How surfaces get their colours.
+enum Colours {
+    /// Where they are drawn.
+    AtOnce(Surfaces),
+    /// In a pass of their own before.
+    Deferred(Deferred),
 }
 
 /// The pipelines of a pass that looks at surfaces, not at their places alone.
@@ -141,8 +147,7 @@ impl Pipelines {
         Self {
             shadow: shadow_pipeline(device, &shaders.module, &records_alone),
             label: label_pipeline(device, &shaders.module, &records_alone),
-            colours: Surfaces::new(device, &shaders, shading, Output::Colour),
-            deferred: deferred(device, &shaders, shading, defers),
+            colours: Colours::new(device, &shaders, shading, defers),
             defers,
             maps: maps::group(device, &shaders.maps, &shadow_view, paints),
             shadow_view,
@@ -152,8 +157,7 @@ impl Pipelines {
 
     /// Prepares for another kind of shading.
     pub(super) fn set_shading(&mut self, device: &wgpu::Device, shading: Shading) {
-        self.colours = Surfaces::new(device, &self.shaders, shading, Output::Colour);
-        self.deferred = deferred(device, &self.shaders, shading, self.defers);
+        self.colours = Colours::new(device, &self.shaders, shading, self.defers);
     }
 
     /// Layout of group 0, for whoever makes records.
@@ -163,7 +167,10 @@ impl Pipelines {
 
     /// What shades fine pictures, for whoever makes targets.
     pub(super) const fn deferred(&self) -> Option<&Deferred> {
-        self.deferred.as_ref()
+        match &self.colours {
+            Colours::AtOnce(_) => None,
+            Colours::Deferred(deferred) => Some(deferred),
+        }
     }
 
     /// Draws the scene as the light sees it.
@@ -197,8 +204,8 @@ impl Pipelines {
         scene.draw(pass, camera, |_| None);
     }
 
-    /// Draws the scene as the camera sees it, on the depth of [`Self::draw_labels`]. Where shading
-    /// is deferred, pixels without an edge are shaded before.
+    /// Draws the scene as the camera sees it, after [`Self::draw_labels`]: `targets` were made for
+    /// these pipelines.
     pub(super) fn draw_colour(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -206,35 +213,36 @@ impl Pipelines {
         scene: &Scene,
         camera: &Records,
     ) {
-        let shaded = self.deferred.as_ref().zip(targets.deferred());
-        if let Some((deferred, (kept, depth))) = shaded {
-            let mut pass = kept.begin(encoder, depth);
-            pass.set_bind_group(1, &self.maps, &[]);
-            deferred.surfaces.draw(&mut pass, scene, camera);
-            drop(pass);
-            deferred.shade(encoder, camera, &self.maps, kept);
+        match (&self.colours, targets.deferred()) {
+            (Colours::Deferred(deferred), Some((kept, depth))) => {
+                let mut pass = kept.begin(encoder, depth);
+                pass.set_bind_group(1, &self.maps, &[]);
+                deferred.surfaces.draw(&mut pass, scene, camera);
+                drop(pass);
+                deferred.shade(encoder, camera, &self.maps, kept);
+                let mut pass = targets.begin_colour(encoder);
+                pass.set_bind_group(1, &self.maps, &[]);
+                deferred.draw(&mut pass, scene, camera, kept);
+            }
+            (Colours::Deferred(_), None) => {}
+            (Colours::AtOnce(surfaces), _) => {
+                let mut pass = targets.begin_colour(encoder);
+                pass.set_bind_group(1, &self.maps, &[]);
+                surfaces.draw(&mut pass, scene, camera);
+            }
         }
-        let mut pass = targets.begin_colour(encoder);
-        pass.set_bind_group(1, &self.maps, &[]);
-        if let Some((deferred, (kept, _))) = shaded {
-            camera.bind(&mut pass, 0);
-            deferred.fill(&mut pass, kept);
-        }
-        self.colours.draw(&mut pass, scene, camera);
     }
 }
 
-/// The passes of fine shading alone, where it is deferred.
-fn deferred(
-    device: &wgpu::Device,
-    shaders: &Shaders,
-    shading: Shading,
-    defers: bool,
-) -> Option<Deferred> {
-    (defers && shading == Shading::Fine).then(|| {
-        let surfaces = Surfaces::new(device, shaders, shading, Output::Kept);
-        Deferred::new(device, shaders, surfaces, &constants(shading))
-    })
+impl Colours {
+    fn new(device: &wgpu::Device, shaders: &Shaders, shading: Shading, defers: bool) -> Self {
+        let surfaces = |output| Surfaces::new(device, shaders, shading, output);
+        if defers && shading == Shading::Fine {
+            let kept = surfaces(Output::Kept);
+            return Self::Deferred(Deferred::new(device, shaders, kept, &constants(shading)));
+        }
+        Self::AtOnce(surfaces(Output::Colour))
+    }
 }
 
 impl Surfaces {
@@ -299,7 +307,7 @@ impl Surfaces {
 }
 
 /// Slot 0: position (location 0) and normal (1), m, in the object's frame.
-const VERTEX: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
+pub(super) const VERTEX: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
     array_stride: VERTEX_BYTES,
     step_mode: wgpu::VertexStepMode::Vertex,
     attributes: &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3],
@@ -320,10 +328,10 @@ const BAKED: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
 };
 
 /// The vertex function that needs no mesh.
-const BACKDROP: &str = "backdrop_vertex";
+pub(super) const BACKDROP: &str = "backdrop_vertex";
 
 /// Nearer wins; no stencil.
-const fn visibility(bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {
+pub(super) const fn visibility(bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {
     wgpu::DepthStencilState {
         format: DEPTH_FORMAT,
         depth_write_enabled: Some(true),
@@ -339,7 +347,7 @@ const fn visibility(bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {
 }
 
 /// No depth bias.
-const fn unbiased() -> wgpu::DepthBiasState {
+pub(super) const fn unbiased() -> wgpu::DepthBiasState {
     wgpu::DepthBiasState {
         constant: 0,
         slope_scale: 0.0,
@@ -473,7 +481,7 @@ fn surface_pipeline(
 }
 
 /// Triangle lists, back faces left out.
-fn culled() -> wgpu::PrimitiveState {
+pub(super) fn culled() -> wgpu::PrimitiveState {
     wgpu::PrimitiveState {
         cull_mode: Some(wgpu::Face::Back),
         ..Default::default()

@@ -222,13 +222,13 @@ fn a_deferred_picture_is_the_one_that_is_drawn_at_once() {
             shoot(&mut renderer, &poses, &camera)
         });
         assert!(at_once.instance == deferred.instance && at_once.depth_m == deferred.depth_m);
-        // The middle of a pixel is not where each of its triangles is covered.
+        // Where several triangles of a thing share a pixel only its middle counts.
         let bytes = at_once.colour.iter().zip(&deferred.colour);
         let apart: Vec<u8> = bytes.map(|(a, b)| a.abs_diff(*b)).collect();
         let over = |most: u8| apart.iter().filter(|apart| **apart > most).count();
         let (some, far) = (over(4), over(40));
         assert!(
-            0 < some && some * 50 < apart.len() && far * 5000 < apart.len(),
+            0 < some && some * 50 < apart.len() && far * 1000 < apart.len(),
             "{some} {far}"
         );
     }
