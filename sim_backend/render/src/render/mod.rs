@@ -9,12 +9,13 @@
 //!
 //! An image: `station` finds targets and records for the camera, `scene` writes the records and
 //! orders the draws, `pipelines` encodes the passes (shadow map, labels, colour), `deferred` shades
-//! most of a fine picture before its colour is drawn, `lens` adds a pass where there is distortion or dirt, `targets` copies all planes into one staging buffer and
-//! unpacks it. Several cameras are submitted before the first is waited for.
+//! a fine picture before its colour is drawn, `lens` adds a pass where there is distortion or dirt,
+//! `targets` copies all planes into one staging buffer and unpacks it. Several cameras are
+//! submitted before the first is waited for.
 //!
 //! Bind groups: 0 is the frame's record and, at a dynamic offset, the object's (`records`); 1 is
-//! shadow map and patterns (`maps`). The lens pass and the painting of patterns (`bake`) have
-//! layouts of their own.
+//! shadow map and patterns (`maps`); 2 what is shaded apart (`deferred`). The lens pass and the
+//! painting of patterns (`bake`) have layouts of their own.
 
 mod bake;
 mod camera;
@@ -98,7 +99,8 @@ pub enum Shading {
     /// Shadows have penumbras (percentage-closer soft shadows, R. Fernando, 2005) of a light guide
     /// of 4 mm: they grow with the height of the caster over the surface, up to 3 mm wide.
     ///
-    /// A GPU shades most of it in a compute pass; pictures are the same but for rounding.
+    /// A GPU shades it in a compute pass, once a pixel; a software rasteriser once a triangle, so
+    /// that those smaller than a pixel are blended.
     ///
     /// Relief of patterned surfaces and of the film on them is steeper than in full shading, so
     /// that tissue glistens in more places, what is mirrored has more of its colour, and what is
