@@ -239,7 +239,7 @@ mod tests {
 
     /// The lobes of a liver are no balls, whose distance is exact.
     #[test]
-    fn a_cut_lobe_changes_hardly_faster_than_the_place_does_near_its_surface() {
+    fn a_cut_lobe_changes_hardly_faster_near_its_surface() {
         let cut = Shape::Cut {
             of: Box::new(ellipsoid([0.0; 3], [60.0, 45.0, 32.0])),
             at: Point3::new(0.0, 0.0, 8.0),
@@ -256,11 +256,9 @@ mod tests {
                 continue;
             }
             near += 1;
-            for axis in 0..3 {
-                let step = Vector3::ith(axis, 0.01);
-                let change = (cut.distance(&(p + step)) - here).abs() / 0.01;
-                greatest = greatest.max(change);
-            }
+            let steps = [0, 1, 2].map(|axis| Vector3::ith(axis, 0.01));
+            let slope = steps.map(|step| (cut.distance(&(p + step)) - here) / 0.01);
+            greatest = greatest.max(Vector3::from(slope).norm());
         }
         assert!(
             near > 500 && greatest > 0.9 && greatest < 1.1,

@@ -1,12 +1,12 @@
-//! Deferred shading of fine pictures: what is seen in the middle of each pixel is kept in two images
-//! (a G-buffer), and a compute pass works its colour out. An accelerator has many times the
-//! processors for it that it has for fragments; a software rasteriser, which has the same for both,
-//! draws colour at once.
+//! Deferred shading of fine pictures: what is seen at each pixel's centre is drawn into a G-buffer of
+//! two images, and a compute pass works its colour out. An H100 or H200 has many times the
+//! processors for it that it has for fragments; other GPUs are not measured. A software rasteriser,
+//! which has the same for both, draws colour at once.
 //!
-//! Then colour is drawn with several samples a pixel, each of which takes that of the nearest pixel
-//! that shows its surface, so edges are smooth. What is seen in no pixel's middle is not seen, and
-//! triangles that are smaller than a pixel are not blended. Group 2: 0 and 1 the two images, 2 what
-//! they are shaded into, 3 the same to read.
+//! Then the scene is drawn with several samples a pixel, each of which takes the colour of that
+//! pixel around it that is most like its surface, so edges are smooth. What covers no pixel's centre
+//! is not seen, and triangles that are smaller than a pixel are not blended. Group 2: 0 and 1 the
+//! G-buffer, 2 what it is shaded into, 3 the same to read.
 
 use hal::Intrinsics;
 
@@ -15,17 +15,17 @@ use super::pipelines::{BACKDROP, Shaders, Surfaces, VERTEX, culled, unbiased, vi
 use super::records::Records;
 use super::scene::Scene;
 use super::targets::{colour_samples, depth_attachment};
-use super::textures::{COLOUR_FORMAT, KEPT_FORMAT, cleared, texture, whole};
+use super::textures::{COLOUR_FORMAT, GBUFFER_FORMAT, cleared, texture, whole};
 
 /// Pixels of a workgroup across and down, as in `deferred.wgsl`.
 const GROUP_PX: u32 = 8;
 
 /// The passes, for all cameras.
 pub(super) struct Deferred {
-    /// Those that keep.
+    /// Those that draw the G-buffer.
     pub(super) surfaces: Surfaces,
     /// Group 2 of the pass that shades.
-    kept_layout: wgpu::BindGroupLayout,
+    gbuffer_layout: wgpu::BindGroupLayout,
     /// Group 2 of the pass that draws.
     shaded_layout: wgpu::BindGroupLayout,
     shade: wgpu::ComputePipeline,
@@ -35,9 +35,9 @@ pub(super) struct Deferred {
     backdrop: wgpu::RenderPipeline,
 }
 
-/// What one camera keeps.
-pub(super) struct Kept {
-    /// See `Kept` of `deferred.wgsl`.
+/// What one camera's picture is shaded from.
+pub(super) struct GBuffer {
+    /// See `GBuffer` of `deferred.wgsl`.
     views: [wgpu::TextureView; 2],
     /// Of an image, pixels.
     size: [u32; 2],
@@ -48,19 +48,19 @@ pub(super) struct Kept {
 }
 
 impl Deferred {
-    /// With the pipelines that keep, and with the constants of the shading.
+    /// With the pipelines that draw the G-buffer, and with the constants of the shading.
     pub(super) fn new(
         device: &wgpu::Device,
         shaders: &Shaders,
         surfaces: Surfaces,
         constants: &[(&str, f64)],
     ) -> Self {
-        let [kept_layout, shaded_layout] = layouts(device);
+        let [gbuffer_layout, shaded_layout] = layouts(device);
         let shade = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("shade"),
-            layout: Some(&shaders.layout(device, Some(&kept_layout))),
+            layout: Some(&shaders.layout(device, Some(&gbuffer_layout))),
             module: &shaders.module,
-            entry_point: Some("shade_kept"),
+            entry_point: Some("shade_gbuffer"),
             compilation_options: wgpu::PipelineCompilationOptions {
                 constants,
                 ..Default::default()
@@ -73,7 +73,7 @@ impl Deferred {
         };
         Self {
             surfaces,
-            kept_layout,
+            gbuffer_layout,
             shaded_layout,
             shade,
             sample: sample("sampled_vertex", "sampled_fragment"),
@@ -81,13 +81,13 @@ impl Deferred {
         }
     }
 
-    /// Works out the colours of what is kept.
+    /// Works out the colours of what is in the G-buffer.
     pub(super) fn shade(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         camera: &Records,
         maps: &wgpu::BindGroup,
-        kept: &Kept,
+        gbuffer: &GBuffer,
     ) {
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("shade"),
@@ -96,8 +96,8 @@ impl Deferred {
         pass.set_pipeline(&self.shade);
         camera.bind_frame(&mut pass);
         pass.set_bind_group(1, maps, &[]);
-        pass.set_bind_group(2, &kept.group, &[]);
-        let [across, down] = kept.size.map(|size| size.div_ceil(GROUP_PX));
+        pass.set_bind_group(2, &gbuffer.group, &[]);
+        let [across, down] = gbuffer.size.map(|size| size.div_ceil(GROUP_PX));
         pass.dispatch_workgroups(across, down, 1);
     }
 
@@ -107,9 +107,9 @@ impl Deferred {
         pass: &mut wgpu::RenderPass<'_>,
         scene: &Scene,
         camera: &Records,
-        kept: &Kept,
+        gbuffer: &GBuffer,
     ) {
-        pass.set_bind_group(2, &kept.shaded, &[]);
+        pass.set_bind_group(2, &gbuffer.shaded, &[]);
         pass.set_pipeline(&self.sample);
         scene.draw(pass, camera, |_| None);
         pass.set_pipeline(&self.backdrop);
@@ -118,7 +118,7 @@ impl Deferred {
     }
 }
 
-impl Kept {
+impl GBuffer {
     /// For images of the size of `image`.
     pub(super) fn new(device: &wgpu::Device, deferred: &Deferred, image: &Intrinsics) -> Self {
         let size = [image.width, image.height];
@@ -128,13 +128,13 @@ impl Kept {
                 .create_view(&wgpu::TextureViewDescriptor::default())
         };
         let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT;
-        let views = ["looks", "shape"].map(|label| view(label, KEPT_FORMAT, drawn));
+        let views = ["look", "shape"].map(|label| view(label, GBUFFER_FORMAT, drawn));
         let shaded = view(
             "shaded",
             COLOUR_FORMAT,
             wgpu::TextureUsages::STORAGE_BINDING,
         );
-        let [looks, shape] = &views;
+        let [look, shape] = &views;
         let group = |layout, entries: &[(u32, &wgpu::TextureView)]| {
             let entries: Vec<_> = entries
                 .iter()
@@ -144,15 +144,15 @@ impl Kept {
                 })
                 .collect();
             device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("kept"),
+                label: Some("G-buffer"),
                 layout,
                 entries: &entries,
             })
         };
         Self {
             group: group(
-                &deferred.kept_layout,
-                &[(0, looks), (1, shape), (2, &shaded)],
+                &deferred.gbuffer_layout,
+                &[(0, look), (1, shape), (2, &shaded)],
             ),
             shaded: group(&deferred.shaded_layout, &[(1, shape), (3, &shaded)]),
             views,
@@ -160,7 +160,7 @@ impl Kept {
         }
     }
 
-    /// Starts the pass that keeps, on the depth of the labels.
+    /// Starts the pass that draws them, on the depth of the labels.
     pub(super) fn begin<'pass>(
         &self,
         encoder: &'pass mut wgpu::CommandEncoder,
@@ -168,7 +168,7 @@ impl Kept {
     ) -> wgpu::RenderPass<'pass> {
         let seen = depth_attachment(depth, wgpu::LoadOp::Load, wgpu::StoreOp::Discard);
         encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("keep"),
+            label: Some("G-buffer"),
             color_attachments: &self.views.each_ref().map(cleared),
             depth_stencil_attachment: Some(seen),
             ..Default::default()
@@ -195,7 +195,7 @@ fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 2] {
         view_dimension: wgpu::TextureViewDimension::D2,
     };
     let compute = wgpu::ShaderStages::COMPUTE;
-    let kept = [
+    let gbuffer = [
         entry(0, compute, read(wgpu::TextureSampleType::Uint)),
         entry(1, compute, read(wgpu::TextureSampleType::Uint)),
         entry(2, compute, written),
@@ -206,9 +206,9 @@ fn layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 2] {
         entry(1, fragment, read(wgpu::TextureSampleType::Uint)),
         entry(3, fragment, unfiltered),
     ];
-    [&kept[..], &shaded[..]].map(|entries| {
+    [&gbuffer[..], &shaded[..]].map(|entries| {
         device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("kept"),
+            label: Some("G-buffer"),
             entries,
         })
     })

@@ -1,16 +1,15 @@
-// Deferred shading: what is seen in the middle of each pixel is kept in two images (the G-buffer) and shaded by a compute pass,
-// which a GPU runs on more processors than fragments. Then the scene is drawn with several samples a pixel, each of which takes the
-// colour of the nearest pixel that shows its surface.
+// Deferred shading: what is seen at each pixel's centre is drawn into a G-buffer of two images and shaded by a compute pass. Then the
+// scene is drawn with several samples a pixel, each of which takes the colour of that pixel around it that is most like its surface.
 
-@group(2) @binding(0) var looks_kept: texture_2d<u32>;
-@group(2) @binding(1) var shape_kept: texture_2d<u32>;
+@group(2) @binding(0) var look_seen: texture_2d<u32>;
+@group(2) @binding(1) var shape_seen: texture_2d<u32>;
 @group(2) @binding(2) var shaded_to: texture_storage_2d<rgba8unorm, write>;
 // The same to read.
 @group(2) @binding(3) var shaded: texture_2d<f32>;
 
-struct Kept {
+struct GBuffer {
     // Normals of flesh and film; red and green; roughness, wetness, metallic and what comes through.
-    @location(0) looks: vec4u,
+    @location(0) look: vec4u,
     // Part and flesh; distance along the view, m; normal of the mesh; blue and openness.
     @location(1) shape: vec4u,
 }
@@ -31,8 +30,8 @@ fn folded(at: vec2f) -> vec2f {
     return (1.0 - abs(at.yx)) * select(vec2f(-1.0), vec2f(1.0), at >= vec2f(0.0));
 }
 
-fn kept(s: Surface, part: u32) -> Kept {
-    let looks = vec4u(
+fn packed(s: Surface, part: u32) -> GBuffer {
+    let look = vec4u(
         octahedral(s.normal),
         octahedral(s.film_normal),
         pack2x16float(s.base_colour.rg),
@@ -40,48 +39,51 @@ fn kept(s: Surface, part: u32) -> Kept {
     );
     let flesh = u32(round(255.0 * s.flesh));
     let blue = pack2x16float(vec2f(s.base_colour.b, s.open));
-    return Kept(looks, vec4u(part | (flesh << 24u), bitcast<u32>(s.position.z), octahedral(s.mesh_normal), blue));
+    return GBuffer(look, vec4u(part | (flesh << 24u), bitcast<u32>(s.position.z), octahedral(s.mesh_normal), blue));
 }
 
 @fragment
-fn patterned_kept(in: Varying) -> Kept {
-    return kept(patterned(in), u32(object.part));
+fn patterned_gbuffer(in: Varying) -> GBuffer {
+    return packed(patterned(in), u32(object.part));
 }
 
 @fragment
-fn smooth_kept(in: Varying) -> Kept {
-    return kept(smooth_surface(in), u32(object.part));
+fn smooth_gbuffer(in: Varying) -> GBuffer {
+    return packed(smooth_surface(in), u32(object.part));
 }
 
 @fragment
-fn brushed_kept(in: Varying) -> Kept {
-    return kept(brushed(in), u32(object.part));
+fn brushed_gbuffer(in: Varying) -> GBuffer {
+    return packed(brushed(in), u32(object.part));
 }
 
 @fragment
-fn backdrop_kept(in: Behind) -> Kept {
-    return kept(behind(in), 0u);
+fn backdrop_gbuffer(in: Behind) -> GBuffer {
+    return packed(behind(in), BACKDROP);
 }
+
+// The number of what is behind everything.
+const BACKDROP: u32 = 0u;
 
 fn part_of(shape: vec4u) -> u32 {
     return shape.x & 0xffffffu;
 }
 
 @compute @workgroup_size(8, 8)
-fn shade_kept(@builtin(global_invocation_id) pixel: vec3u) {
+fn shade_gbuffer(@builtin(global_invocation_id) pixel: vec3u) {
     let at = vec2i(pixel.xy);
-    if any(at >= vec2i(textureDimensions(shape_kept))) {
+    if any(at >= vec2i(textureDimensions(shape_seen))) {
         return;
     }
-    let shape = textureLoad(shape_kept, at, 0);
-    let looks = textureLoad(looks_kept, at, 0);
-    let red_green = unpack2x16float(looks.z);
+    let shape = textureLoad(shape_seen, at, 0);
+    let look = textureLoad(look_seen, at, 0);
+    let red_green = unpack2x16float(look.z);
     let blue_open = unpack2x16float(shape.w);
-    let rest = unpack4x8unorm(looks.w);
+    let rest = unpack4x8unorm(look.w);
     var s: Surface;
     s.position = bitcast<f32>(shape.y) * vec3f((vec2f(at) + 0.5 - frame.lens.xy) * frame.lens.zw, 1.0);
-    s.normal = direction(looks.x);
-    s.film_normal = direction(looks.y);
+    s.normal = direction(look.x);
+    s.film_normal = direction(look.y);
     s.mesh_normal = direction(shape.z);
     s.base_colour = vec3f(red_green, blue_open.x);
     s.open = blue_open.y;
@@ -94,7 +96,7 @@ fn shade_kept(@builtin(global_invocation_id) pixel: vec3u) {
 }
 
 struct Sampled {
-    @builtin(position) @invariant clip: vec4f,
+    @builtin(position) clip: vec4f,
     @interpolate(perspective, centroid) @location(0) normal: vec3f,
     @interpolate(perspective, centroid) @location(1) range: f32,
     @interpolate(flat) @location(2) part: u32,
@@ -106,25 +108,34 @@ fn sampled_vertex(@location(0) position: vec3f, @location(1) normal: vec3f) -> S
     return Sampled(frame.clip_from_camera * in_camera, rotated(object, normal), in_camera.z, u32(object.part));
 }
 
-// How unlike what a pixel shows is to a place of `part`: another part counts most, then a crease, then a step in depth.
+// How unlike what a pixel shows is to a place of `part`: another part counts most, then a step in depth, then a crease. Of what is
+// behind everything neither is seen.
 fn unlike(shape: vec4u, part: u32, range: f32, normal: vec3f) -> f32 {
-    let apart = abs(bitcast<f32>(shape.y) - range) / range;
-    let turned = 1.0 - dot(direction(shape.z), normal);
-    return select(0.0, 1e3, part_of(shape) != part) + 10.0 * turned + 100.0 * apart;
+    let strange = select(0.0, 1e3, part_of(shape) != part);
+    if part == BACKDROP {
+        return strange;
+    }
+    let step = min(abs(bitcast<f32>(shape.y) - range) / range, 1.0);
+    let turn = 1.0 - dot(direction(shape.z), normal);
+    return strange + 100.0 * step + 10.0 * turn;
 }
 
-// What is about as like as the middle of the pixel itself would be.
-const ALIKE: f32 = 1.0;
+// Below that the pixel's centre shows the same surface.
+const SAME: f32 = 1.0;
+// What a pixel's distance counts, so that of pixels that are about as like the nearest is taken.
+const AWAY: f32 = 0.1;
 
-// The colour of the pixel at `at`, or of what around it is more like.
-fn nearest_shaded(at: vec2i, part: u32, range: f32, normal: vec3f) -> vec4f {
-    let last = vec2i(textureDimensions(shape_kept)) - 1;
+// The colour of the pixel at `at`, or of the one around it that is most like a place.
+fn shaded_like(at: vec2i, part: u32, range: f32, normal: vec3f) -> vec4f {
+    let last = vec2i(textureDimensions(shape_seen)) - 1;
     var best = at;
-    var least = unlike(textureLoad(shape_kept, at, 0), part, range, normal);
-    if least > ALIKE {
+    var least = unlike(textureLoad(shape_seen, at, 0), part, range, normal);
+    if least > SAME {
         for (var index = 0; index < 9; index++) {
-            let around = clamp(at + vec2i(index % 3, index / 3) - 1, vec2i(0), last);
-            let found = unlike(textureLoad(shape_kept, around, 0), part, range, normal);
+            let step = vec2i(index % 3, index / 3) - 1;
+            let around = clamp(at + step, vec2i(0), last);
+            let far = AWAY * f32(abs(step.x) + abs(step.y));
+            let found = unlike(textureLoad(shape_seen, around, 0), part, range, normal) + far;
             if found < least {
                 least = found;
                 best = around;
@@ -136,16 +147,10 @@ fn nearest_shaded(at: vec2i, part: u32, range: f32, normal: vec3f) -> vec4f {
 
 @fragment
 fn sampled_fragment(in: Sampled) -> @location(0) vec4f {
-    return nearest_shaded(vec2i(in.clip.xy), in.part, in.range, normalize(in.normal));
+    return shaded_like(vec2i(in.clip.xy), in.part, in.range, normalize(in.normal));
 }
 
-// Of what is behind everything neither depth nor creases count.
 @fragment
 fn backdrop_sampled(in: Behind) -> @location(0) vec4f {
-    let at = vec2i(in.clip.xy);
-    let own = textureLoad(shape_kept, at, 0);
-    if part_of(own) == 0u {
-        return textureLoad(shaded, at, 0);
-    }
-    return nearest_shaded(at, 0u, 1.0, direction(own.z));
+    return shaded_like(vec2i(in.clip.xy), BACKDROP, 1.0, vec3f(0.0, 0.0, 1.0));
 }

@@ -1,6 +1,6 @@
-//! The images that the colour pass reads: shadow map and painted patterns.
+//! The images that passes which look at surfaces read: shadow map and painted patterns.
 //!
-//! Bind group 1 of the colour pass: 0 shadow map (depth), 1 sampler that compares, 2 albedo and 3
+//! Bind group 1 of these passes: 0 shadow map (depth), 1 sampler that compares, 2 albedo and 3
 //! relief (arrays with one layer per pattern), 4 sampler that filters. Made once per renderer; the
 //! patterns do not change, the shadow map is drawn anew for each call.
 

@@ -1,4 +1,5 @@
-//! The passes: shadow map from the light, then ids and range, then colour from the camera.
+//! The passes: shadow map from the light, then ids and range, then colour from the camera, at once or
+//! from a G-buffer that is shaded before (`deferred`).
 //!
 //! All scene shaders are one module of six files, joined as text; entry points choose the pass.
 //! Shadow and labels bind group 0 alone and take one sample; colour binds the maps too. Front faces
@@ -14,7 +15,7 @@ use super::records::{self, Records};
 use super::scene::{BAKED_BYTES, Scene, UNROLLED_BYTES, VERTEX_BYTES};
 use super::targets::{FAR, Targets, colour_samples, depth_attachment};
 use super::textures::{
-    COLOUR_FORMAT, DEPTH_FORMAT, INSTANCE_FORMAT, KEPT_FORMAT, RANGE_FORMAT, texture, whole,
+    COLOUR_FORMAT, DEPTH_FORMAT, GBUFFER_FORMAT, INSTANCE_FORMAT, RANGE_FORMAT, texture, whole,
 };
 use super::{Shading, maps};
 use crate::visual::Pattern;
@@ -32,7 +33,7 @@ pub(super) struct Pipelines {
     label: wgpu::RenderPipeline,
     /// Colour, from a camera.
     colours: Colours,
-    /// Whether fine shading is deferred.
+    /// Whether fine shading is deferred; tests choose, whatever the device is.
     pub(super) defers: bool,
     /// Group 1.
     maps: wgpu::BindGroup,
@@ -71,12 +72,12 @@ pub(super) struct Surfaces {
 }
 
 /// What such a pass makes of surfaces.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Output {
+#[derive(Clone, Copy)]
+enum Output {
     /// Their colour in the light.
     Colour,
-    /// What their colour is worked out from later, with one sample a pixel; in fine shading.
-    Kept,
+    /// What their colour is worked out from later, at each pixel's centre; in fine shading.
+    GBuffer,
 }
 
 impl Shaders {
@@ -213,18 +214,18 @@ impl Pipelines {
         scene: &Scene,
         camera: &Records,
     ) {
-        match (&self.colours, targets.deferred()) {
-            (Colours::Deferred(deferred), Some((kept, depth))) => {
-                let mut pass = kept.begin(encoder, depth);
+        match (&self.colours, targets.gbuffer()) {
+            (Colours::Deferred(deferred), Some((gbuffer, depth))) => {
+                let mut pass = gbuffer.begin(encoder, depth);
                 pass.set_bind_group(1, &self.maps, &[]);
                 deferred.surfaces.draw(&mut pass, scene, camera);
                 drop(pass);
-                deferred.shade(encoder, camera, &self.maps, kept);
+                deferred.shade(encoder, camera, &self.maps, gbuffer);
                 let mut pass = targets.begin_colour(encoder);
                 pass.set_bind_group(1, &self.maps, &[]);
-                deferred.draw(&mut pass, scene, camera, kept);
+                deferred.draw(&mut pass, scene, camera, gbuffer);
             }
-            (Colours::Deferred(_), None) => {}
+            (Colours::Deferred(_), None) => debug_assert!(false, "targets without a G-buffer"),
             (Colours::AtOnce(surfaces), _) => {
                 let mut pass = targets.begin_colour(encoder);
                 pass.set_bind_group(1, &self.maps, &[]);
@@ -238,8 +239,8 @@ impl Colours {
     fn new(device: &wgpu::Device, shaders: &Shaders, shading: Shading, defers: bool) -> Self {
         let surfaces = |output| Surfaces::new(device, shaders, shading, output);
         if defers && shading == Shading::Fine {
-            let kept = surfaces(Output::Kept);
-            return Self::Deferred(Deferred::new(device, shaders, kept, &constants(shading)));
+            let gbuffer = surfaces(Output::GBuffer);
+            return Self::Deferred(Deferred::new(device, shaders, gbuffer, &constants(shading)));
         }
         Self::AtOnce(surfaces(Output::Colour))
     }
@@ -268,11 +269,11 @@ impl Surfaces {
                 "brushed_fragment",
                 "backdrop_fragment",
             ],
-            Output::Kept => [
-                "patterned_kept",
-                "smooth_kept",
-                "brushed_kept",
-                "backdrop_kept",
+            Output::GBuffer => [
+                "patterned_gbuffer",
+                "smooth_gbuffer",
+                "brushed_gbuffer",
+                "backdrop_gbuffer",
             ],
         };
         Self {
@@ -413,7 +414,7 @@ fn label_pipeline(
 }
 
 /// `FULL` and `FINE` are constants, so what a shading leaves out is not in its code.
-pub(super) fn constants(shading: Shading) -> [(&'static str, f64); 6] {
+fn constants(shading: Shading) -> [(&'static str, f64); 6] {
     let full = shading != Shading::Plain;
     [
         ("FULL", f64::from(u8::from(full))),
@@ -436,7 +437,7 @@ fn surface_pipeline(
 ) -> wgpu::RenderPipeline {
     let (samples, targets) = match output {
         Output::Colour => (colour_samples(shading), &[whole(COLOUR_FORMAT)][..]),
-        Output::Kept => (1, &[whole(KEPT_FORMAT), whole(KEPT_FORMAT)][..]),
+        Output::GBuffer => (1, &[whole(GBUFFER_FORMAT), whole(GBUFFER_FORMAT)][..]),
     };
     let constants = constants(shading);
     let behind = vertex == BACKDROP;

@@ -46,7 +46,8 @@ struct Part {
     layer: f32,
     /// Factors of its linear colour.
     tint: [f32; 3],
-    /// Counts the parts, from 1; see `deferred.wgsl`.
+    /// Counts the parts, from 1; see `deferred.wgsl`. Beyond 65535 they share it, and an edge between
+    /// two of them is found by its normals or its step.
     number: u16,
     instance: u8,
 }

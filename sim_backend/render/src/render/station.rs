@@ -92,11 +92,12 @@ impl Stations {
         pass: &mut Option<LensPass>,
     ) -> Result<(), RenderError> {
         for (index, camera) in cameras.enumerate() {
-            let (lens, has_lens) = (&camera.intrinsics, plot.has_lens(camera));
+            let lens = &camera.intrinsics;
+            let has = [plot.has_lens(camera), plot.deferred.is_some()];
             let free = self.stations.iter().skip(index);
             let fitting = free
                 .zip(index..)
-                .find(|(station, _)| station.targets.fits(lens, plot.shading, has_lens));
+                .find(|(station, _)| station.targets.fits(lens, plot.shading, has));
             let found = if let Some((_, found)) = fitting {
                 found
             } else {

@@ -1,9 +1,9 @@
 //! The images on the device and the way they come back: one staging buffer, mapped once a frame.
 //!
 //! Ids and range are drawn first, with one sample a pixel and no blending. Colour follows in a pass
-//! of its own: smoothed over the pixel by several samples, on a GPU after pixels without an edge
-//! were shaded (`deferred`), or with one sample on the first pass's depth. Where there is a lens these are images of its own, and a last pass makes the picture of
-//! them.
+//! of its own: smoothed over the pixel by several samples, which on a GPU take colours that were
+//! shaded before (`deferred`), or with one sample on the first pass's depth. Where there is a lens
+//! these are images of its own, and a last pass makes the picture of them.
 //!
 //! Rows in the staging buffer begin at multiples of 256 bytes, as copies demand; unpacking leaves
 //! the padding and colour's fourth byte out. The device's byte order is the machine's.
@@ -14,7 +14,7 @@ use hal::count::index;
 use super::Planes;
 use super::RenderError;
 use super::Shading;
-use super::deferred::{Deferred, Kept};
+use super::deferred::{Deferred, GBuffer};
 use super::gpu::Gpu;
 use super::lens::{Lens, LensPass, Window};
 use super::textures::{
@@ -65,7 +65,7 @@ pub(super) struct Targets {
     /// Colour and depth of all samples.
     samples: Option<[wgpu::TextureView; 2]>,
     /// What is shaded before colour is drawn, where shading is deferred.
-    kept: Option<Kept>,
+    gbuffer: Option<GBuffer>,
     /// All three planes, one after the other; mapped once an image.
     staging: wgpu::Buffer,
 }
@@ -124,7 +124,7 @@ impl Targets {
                 drawn("depth samples", DEPTH_FORMAT, per_pixel),
             ]
         });
-        let kept = deferred.map(|deferred| Kept::new(device, deferred, &image));
+        let gbuffer = deferred.map(|deferred| GBuffer::new(device, deferred, &image));
         let staging = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read-back"),
             size: end,
@@ -140,20 +140,26 @@ impl Targets {
             range,
             depth,
             samples,
-            kept,
+            gbuffer,
             staging,
         }
     }
 
-    /// Whether pictures of `intrinsics` can be taken here, with a lens or not.
+    /// Whether pictures of `intrinsics` can be taken here, with a lens and a G-buffer or not.
     ///
     /// Without distortion only the size counts, for intrinsics are in the record; a window was made
     /// for one distortion.
-    pub(super) fn fits(&self, intrinsics: &Intrinsics, shading: Shading, has_lens: bool) -> bool {
+    pub(super) fn fits(
+        &self,
+        intrinsics: &Intrinsics,
+        shading: Shading,
+        [has_lens, has_gbuffer]: [bool; 2],
+    ) -> bool {
         let size = |of: &Intrinsics| (of.width, of.height);
         let straight = |of: &Intrinsics| of.distortion.is_none();
         self.shading == shading
             && self.lens.is_some() == has_lens
+            && self.gbuffer.is_some() == has_gbuffer
             && size(&self.intrinsics) == size(intrinsics)
             && (self.intrinsics == *intrinsics
                 || (straight(&self.intrinsics) && straight(intrinsics)))
@@ -210,8 +216,8 @@ impl Targets {
 
     /// What is shaded after [`Self::begin_labels`] and before [`Self::begin_colour`], and the depth
     /// of the labels.
-    pub(super) fn deferred(&self) -> Option<(&Kept, &wgpu::TextureView)> {
-        self.kept.as_ref().map(|kept| (kept, &self.depth))
+    pub(super) fn gbuffer(&self) -> Option<(&GBuffer, &wgpu::TextureView)> {
+        self.gbuffer.as_ref().map(|gbuffer| (gbuffer, &self.depth))
     }
 
     /// Starts the pass that draws colour, after [`Self::begin_labels`].

@@ -11,8 +11,8 @@ pub(super) const RANGE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Flo
 /// Visibility: clip depth, 0 at the near plane and 1 at the far one. It is not read back.
 pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 
-/// Each of the two images of what is to be shaded, see `deferred.wgsl`.
-pub(super) const KEPT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
+/// Each of the two images of a G-buffer, see `deferred.wgsl`.
+pub(super) const GBUFFER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
 
 /// A colour target that takes what is drawn as it is: no blending, all channels.
 pub(super) const fn whole(format: wgpu::TextureFormat) -> Option<wgpu::ColorTargetState> {
