@@ -1,7 +1,6 @@
 //! Deferred shading of fine pictures: what is seen at each pixel's centre is drawn into a G-buffer of
-//! two images, and a compute pass works its colour out. An H100 or H200 has many times the
-//! processors for it that it has for fragments; other GPUs are not measured. A software rasteriser,
-//! which has the same for both, draws colour at once.
+//! two images, and a compute pass works its colour out, once a pixel. An H100 or H200 has many times
+//! the processors for it that it has for fragments; a software rasteriser gains as well.
 //!
 //! Then the scene is drawn with several samples a pixel, each of which takes the colour of that
 //! pixel around it that is most like its surface, so edges are smooth. What covers no pixel's centre
@@ -10,15 +9,17 @@
 
 use hal::Intrinsics;
 
-use super::Shading;
 use super::pipelines::{BACKDROP, Shaders, Surfaces, VERTEX, culled, unbiased, visibility};
 use super::records::Records;
 use super::scene::Scene;
-use super::targets::{colour_samples, depth_attachment};
+use super::targets::depth_attachment;
 use super::textures::{COLOUR_FORMAT, GBUFFER_FORMAT, cleared, texture, whole};
 
 /// Pixels of a workgroup across and down, as in `deferred.wgsl`.
 const GROUP_PX: u32 = 8;
+
+/// Samples a pixel, at the standard places; the fragment shader runs once a pixel and triangle.
+pub(super) const SAMPLES: u32 = 4;
 
 /// The passes, for all cameras.
 pub(super) struct Deferred {
@@ -238,7 +239,7 @@ fn sample_pipeline(
             ..visibility(unbiased())
         }),
         multisample: wgpu::MultisampleState {
-            count: colour_samples(Shading::Fine),
+            count: SAMPLES,
             ..Default::default()
         },
         fragment: Some(wgpu::FragmentState {

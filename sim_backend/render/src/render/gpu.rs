@@ -24,8 +24,6 @@ pub(super) struct Gpu {
     pub(super) name: String,
     /// Longest side of an image, pixels.
     pub(super) size_px_max: u32,
-    /// Whether it is a rasteriser on the processor.
-    pub(super) is_software: bool,
     /// The first report since the last [`Self::check`]; later ones are its consequences.
     error: Arc<Mutex<Option<String>>>,
 }
@@ -77,7 +75,6 @@ impl Gpu {
             queue,
             name: format!("{} ({})", info.name, info.driver),
             size_px_max,
-            is_software: info.device_type == wgpu::DeviceType::Cpu,
             error,
         })
     }

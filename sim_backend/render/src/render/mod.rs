@@ -9,7 +9,7 @@
 //!
 //! An image: `station` finds targets and records for the camera, `scene` writes the records and
 //! orders the draws, `pipelines` encodes the passes (shadow map, labels, colour), `deferred` shades
-//! a fine picture before its colour is drawn on a GPU, `lens` adds a pass where there is distortion or dirt,
+//! a fine picture before its colour is drawn, `lens` adds a pass where there is distortion or dirt,
 //! `targets` copies all planes into one staging buffer and unpacks it. Several cameras are
 //! submitted before the first is waited for.
 //!
@@ -99,9 +99,8 @@ pub enum Shading {
     /// Shadows have penumbras (percentage-closer soft shadows, R. Fernando, 2005) of a light guide
     /// of 4 mm: they grow with the height of the caster over the surface, up to 3 mm wide.
     ///
-    /// A GPU shades it in a compute pass, at each pixel's centre: what covers no centre, such as a
-    /// thread thinner than a pixel, breaks up as in full shading. A software rasteriser shades each
-    /// triangle in a pixel and blends them.
+    /// It is shaded in a compute pass, at each pixel's centre: what covers no centre, such as a
+    /// thread thinner than a pixel, breaks up as in full shading.
     ///
     /// Relief of patterned surfaces and of the film on them is steeper than in full shading, so
     /// that tissue glistens in more places, what is mirrored has more of its colour, and what is
@@ -174,7 +173,7 @@ impl Renderer {
         if shading == Shading::Fine {
             scene.bake(&gpu.queue);
         }
-        let pipelines = Pipelines::new(&gpu, &paints, shading);
+        let pipelines = Pipelines::new(&gpu.device, &paints, shading);
         let light = Records::new(&gpu.device, pipelines.records(), scene.part_count());
         gpu.finish()?;
         Ok(Self {

@@ -5,15 +5,14 @@
 //! Shadow and labels bind group 0 alone and take one sample; colour binds the maps too. Front faces
 //! are counter-clockwise; back faces are culled but in the shadow map, so that open sheets cast
 //! shadows whichever side the light is on. Changing the shading makes new colour pipelines, for it
-//! is in their constants, vertex layout and sample count.
+//! is in their constants and vertex layout.
 
 use super::bake::{BACKDROP_SIZE_M, PATTERN_SIZE_M, Paints};
 use super::camera::{SHADOW_FAR_M, SHADOW_NEAR_M};
 use super::deferred::Deferred;
-use super::gpu::Gpu;
 use super::records::{self, Records};
 use super::scene::{BAKED_BYTES, Scene, UNROLLED_BYTES, VERTEX_BYTES};
-use super::targets::{FAR, Targets, colour_samples, depth_attachment};
+use super::targets::{FAR, Targets, depth_attachment};
 use super::textures::{
     COLOUR_FORMAT, DEPTH_FORMAT, GBUFFER_FORMAT, INSTANCE_FORMAT, RANGE_FORMAT, texture, whole,
 };
@@ -33,8 +32,6 @@ pub(super) struct Pipelines {
     label: wgpu::RenderPipeline,
     /// Colour, from a camera.
     colours: Colours,
-    /// Whether fine shading is deferred; tests choose, whatever the device is.
-    pub(super) defers: bool,
     /// Group 1.
     maps: wgpu::BindGroup,
     /// The shadow map, to draw into.
@@ -55,7 +52,7 @@ pub(super) struct Shaders {
 enum Colours {
     /// Where they are drawn.
     AtOnce(Surfaces),
-    /// In a pass of their own before.
+    /// In a pass of their own before, in fine shading.
     Deferred(Deferred),
 }
 
@@ -76,7 +73,7 @@ pub(super) struct Surfaces {
 enum Output {
     /// Their colour in the light.
     Colour,
-    /// What their colour is worked out from later, at each pixel's centre; in fine shading.
+    /// What their colour is worked out from later.
     GBuffer,
 }
 
@@ -129,10 +126,8 @@ fn layout(
 }
 
 impl Pipelines {
-    /// Compiles all shaders of the scene and makes the shadow map. On a GPU fine shading is
-    /// deferred.
-    pub(super) fn new(gpu: &Gpu, paints: &Paints, shading: Shading) -> Self {
-        let (device, defers) = (&gpu.device, !gpu.is_software);
+    /// Compiles all shaders of the scene and makes the shadow map.
+    pub(super) fn new(device: &wgpu::Device, paints: &Paints, shading: Shading) -> Self {
         let shaders = Shaders::new(device);
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
         let shadow_view = texture(
@@ -148,8 +143,7 @@ impl Pipelines {
         Self {
             shadow: shadow_pipeline(device, &shaders.module, &records_alone),
             label: label_pipeline(device, &shaders.module, &records_alone),
-            colours: Colours::new(device, &shaders, shading, defers),
-            defers,
+            colours: Colours::new(device, &shaders, shading),
             maps: maps::group(device, &shaders.maps, &shadow_view, paints),
             shadow_view,
             shaders,
@@ -158,7 +152,7 @@ impl Pipelines {
 
     /// Prepares for another kind of shading.
     pub(super) fn set_shading(&mut self, device: &wgpu::Device, shading: Shading) {
-        self.colours = Colours::new(device, &self.shaders, shading, self.defers);
+        self.colours = Colours::new(device, &self.shaders, shading);
     }
 
     /// Layout of group 0, for whoever makes records.
@@ -236,9 +230,9 @@ impl Pipelines {
 }
 
 impl Colours {
-    fn new(device: &wgpu::Device, shaders: &Shaders, shading: Shading, defers: bool) -> Self {
+    fn new(device: &wgpu::Device, shaders: &Shaders, shading: Shading) -> Self {
         let surfaces = |output| Surfaces::new(device, shaders, shading, output);
-        if defers && shading == Shading::Fine {
+        if shading == Shading::Fine {
             let gbuffer = surfaces(Output::GBuffer);
             return Self::Deferred(Deferred::new(device, shaders, gbuffer, &constants(shading)));
         }
@@ -426,8 +420,8 @@ fn constants(shading: Shading) -> [(&'static str, f64); 6] {
     ]
 }
 
-/// With one sample depth is compared by less or equal with the labels' and not written: only what
-/// is seen is shaded. Both passes compute the same positions bit by bit (`@invariant`).
+/// Depth is compared by less or equal with the labels' and not written: only what is seen is looked
+/// at, and what is behind everything where nothing else is. Both passes compute the same positions bit by bit (`@invariant`).
 fn surface_pipeline(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
@@ -435,9 +429,9 @@ fn surface_pipeline(
     (shading, output): (Shading, Output),
     [vertex, fragment]: [&'static str; 2],
 ) -> wgpu::RenderPipeline {
-    let (samples, targets) = match output {
-        Output::Colour => (colour_samples(shading), &[whole(COLOUR_FORMAT)][..]),
-        Output::GBuffer => (1, &[whole(GBUFFER_FORMAT), whole(GBUFFER_FORMAT)][..]),
+    let targets = match output {
+        Output::Colour => &[whole(COLOUR_FORMAT)][..],
+        Output::GBuffer => &[whole(GBUFFER_FORMAT), whole(GBUFFER_FORMAT)][..],
     };
     let constants = constants(shading);
     let behind = vertex == BACKDROP;
@@ -459,17 +453,12 @@ fn surface_pipeline(
             },
         },
         primitive: culled(),
-        // With one sample colour is drawn on the depth of the labels, the backdrop on what is left
-        // free.
         depth_stencil: Some(wgpu::DepthStencilState {
-            depth_write_enabled: Some(samples > 1 && !behind),
+            depth_write_enabled: Some(false),
             depth_compare: Some(wgpu::CompareFunction::LessEqual),
             ..visibility(unbiased())
         }),
-        multisample: wgpu::MultisampleState {
-            count: samples,
-            ..Default::default()
-        },
+        multisample: wgpu::MultisampleState::default(),
         fragment: Some(wgpu::FragmentState {
             module,
             entry_point: Some(fragment),

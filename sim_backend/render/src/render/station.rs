@@ -40,7 +40,7 @@ pub(super) struct Plot<'a> {
     pub(super) parts: usize,
     /// It decides samples a pixel, and whether optics are shown.
     pub(super) shading: Shading,
-    /// Where shading is deferred.
+    /// In fine shading.
     pub(super) deferred: Option<&'a Deferred>,
     /// Largest side of an image, pixels.
     pub(super) size_px_max: u32,
@@ -92,12 +92,11 @@ impl Stations {
         pass: &mut Option<LensPass>,
     ) -> Result<(), RenderError> {
         for (index, camera) in cameras.enumerate() {
-            let lens = &camera.intrinsics;
-            let has = [plot.has_lens(camera), plot.deferred.is_some()];
+            let (lens, has_lens) = (&camera.intrinsics, plot.has_lens(camera));
             let free = self.stations.iter().skip(index);
             let fitting = free
                 .zip(index..)
-                .find(|(station, _)| station.targets.fits(lens, plot.shading, has));
+                .find(|(station, _)| station.targets.fits(lens, plot.shading, has_lens));
             let found = if let Some((_, found)) = fitting {
                 found
             } else {

@@ -1,8 +1,8 @@
 //! The images on the device and the way they come back: one staging buffer, mapped once a frame.
 //!
 //! Ids and range are drawn first, with one sample a pixel and no blending. Colour follows in a pass
-//! of its own: smoothed over the pixel by several samples, which on a GPU take colours that were
-//! shaded before (`deferred`), or with one sample on the first pass's depth. Where there is a lens
+//! of its own: with one sample on the first pass's depth, or smoothed over the pixel by several, which
+//! take colours that were shaded before (`deferred`). Where there is a lens
 //! these are images of its own, and a last pass makes the picture of them.
 //!
 //! Rows in the staging buffer begin at multiples of 256 bytes, as copies demand; unpacking leaves
@@ -14,7 +14,7 @@ use hal::count::index;
 use super::Planes;
 use super::RenderError;
 use super::Shading;
-use super::deferred::{Deferred, GBuffer};
+use super::deferred::{Deferred, GBuffer, SAMPLES};
 use super::gpu::Gpu;
 use super::lens::{Lens, LensPass, Window};
 use super::textures::{
@@ -35,22 +35,11 @@ struct Plane {
     pitch_bytes: u32,
 }
 
-/// Samples a pixel of the colour.
-///
-/// Four at the standard places in a pixel; the fragment shader runs once a pixel and triangle all
-/// the same.
-pub(super) const fn colour_samples(shading: Shading) -> u32 {
-    match shading {
-        Shading::Fine => 4,
-        Shading::Full | Shading::Plain => 1,
-    }
-}
-
 /// Everything of one image size, and of one distortion.
 pub(super) struct Targets {
     /// Of the picture that it was made for.
     intrinsics: Intrinsics,
-    /// It decides `samples`.
+    /// It decides `samples` and `gbuffer`.
     shading: Shading,
     /// What the picture is seen through, if not by a clean pinhole.
     pub(super) lens: Option<Lens>,
@@ -64,7 +53,7 @@ pub(super) struct Targets {
     depth: wgpu::TextureView,
     /// Colour and depth of all samples.
     samples: Option<[wgpu::TextureView; 2]>,
-    /// What is shaded before colour is drawn, where shading is deferred.
+    /// What is shaded before colour is drawn, in fine shading.
     gbuffer: Option<GBuffer>,
     /// All three planes, one after the other; mapped once an image.
     staging: wgpu::Buffer,
@@ -117,11 +106,10 @@ impl Targets {
             .create_view(&wgpu::TextureViewDescriptor::default())
         };
         let depth = drawn("depth", DEPTH_FORMAT, 1);
-        let per_pixel = colour_samples(shading);
-        let samples = (per_pixel > 1).then(|| {
+        let samples = deferred.map(|_| {
             [
-                drawn("colour samples", COLOUR_FORMAT, per_pixel),
-                drawn("depth samples", DEPTH_FORMAT, per_pixel),
+                drawn("colour samples", COLOUR_FORMAT, SAMPLES),
+                drawn("depth samples", DEPTH_FORMAT, SAMPLES),
             ]
         });
         let gbuffer = deferred.map(|deferred| GBuffer::new(device, deferred, &image));
@@ -145,21 +133,15 @@ impl Targets {
         }
     }
 
-    /// Whether pictures of `intrinsics` can be taken here, with a lens and a G-buffer or not.
+    /// Whether pictures of `intrinsics` can be taken here, with a lens or not.
     ///
     /// Without distortion only the size counts, for intrinsics are in the record; a window was made
     /// for one distortion.
-    pub(super) fn fits(
-        &self,
-        intrinsics: &Intrinsics,
-        shading: Shading,
-        [has_lens, has_gbuffer]: [bool; 2],
-    ) -> bool {
+    pub(super) fn fits(&self, intrinsics: &Intrinsics, shading: Shading, has_lens: bool) -> bool {
         let size = |of: &Intrinsics| (of.width, of.height);
         let straight = |of: &Intrinsics| of.distortion.is_none();
         self.shading == shading
             && self.lens.is_some() == has_lens
-            && self.gbuffer.is_some() == has_gbuffer
             && size(&self.intrinsics) == size(intrinsics)
             && (self.intrinsics == *intrinsics
                 || (straight(&self.intrinsics) && straight(intrinsics)))

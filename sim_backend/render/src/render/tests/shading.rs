@@ -11,16 +11,6 @@ fn grey(frame: &CameraFrame, pixel: usize) -> f64 {
     bytes.iter().map(|byte| f64::from(*byte)).sum::<f64>() / 3.0
 }
 
-/// Chooses fine shading, and whether it is deferred, whatever the device is.
-fn make_fine(renderer: &mut Renderer, defers: bool) {
-    renderer.set_shading(Shading::Fine);
-    renderer.pipelines.defers = defers;
-    renderer
-        .pipelines
-        .set_shading(&renderer.gpu.device, Shading::Fine);
-    assert_eq!(renderer.pipelines.deferred().is_some(), defers);
-}
-
 #[test]
 fn a_camera_beside_sees_the_shadow_that_the_endoscope_casts() {
     let plain = Material {
@@ -152,28 +142,42 @@ fn edges_are_smooth_in_colour_and_sharp_in_ids() {
     let turned = Pose::rotation(Vector3::new(0.0, 0.0, 0.3));
     let poses = [at(0.0, 0.0, 0.1) * turned, at(0.0, 0.0, 0.15)];
     let full = shoot(&mut renderer, &poses, &camera);
-    // On the wall the box's shadow has an edge, too.
-    let inside = within(&full, 200);
-    make_fine(&mut renderer, false);
+    renderer.set_shading(Shading::Fine);
     let fine = shoot(&mut renderer, &poses, &camera);
     assert!(fine.instance.iter().all(|id| [100, 200].contains(id)));
+    // On the wall the box's shadow has an edge, too.
+    let inside = within(&full, 200);
     let changed = |pixel: &usize| (grey(&full, *pixel) - grey(&fine, *pixel)).abs() > 12.0;
     let at_edges = (0..full.instance.len()).filter(changed).count();
     assert!((40..400).contains(&at_edges), "{at_edges}");
     let elsewhere = inside.iter().filter(|pixel| changed(pixel)).count();
     assert_eq!(elsewhere, 0);
-    // Deferred as at once, before the wall and before what is behind everything: what lies
-    // beside an edge has the shadow of a pixel further.
-    for wall_m in [0.15, -1.0] {
-        let poses = [poses[0], at(0.0, 0.0, wall_m)];
-        let [at_once, deferred] = [false, true].map(|defers| {
-            make_fine(&mut renderer, defers);
-            shoot(&mut renderer, &poses, &camera)
-        });
-        let bytes = at_once.colour.iter().zip(&deferred.colour);
-        let most = bytes.map(|(a, b)| a.abs_diff(*b)).max();
-        assert!(most < Some(24), "{most:?} with a wall at {wall_m} m");
+    // Along the outline pixels are covered in part, and neither as bright as the box nor as dark as the wall.
+    let mut outline: Vec<usize> = (0..full.instance.len()).collect();
+    for id in [100, 200] {
+        let whole = within(&full, id);
+        outline.retain(|pixel| !whole.contains(pixel));
     }
+    outline.retain(|pixel| (2..94).contains(&(pixel % 96)) && (2..94).contains(&(pixel / 96)));
+    let levels = |id: u8| -> Vec<f64> {
+        let of = outline.iter().filter(|pixel| full.instance[**pixel] == id);
+        of.map(|pixel| grey(&full, *pixel)).collect()
+    };
+    let darkest = levels(200).into_iter().fold(f64::MAX, f64::min);
+    let brightest = levels(100).into_iter().fold(0.0, f64::max);
+    let between = brightest + 4.0..darkest - 4.0;
+    let blended = |frame: &CameraFrame| {
+        let seen = outline
+            .iter()
+            .filter(|pixel| between.contains(&grey(frame, **pixel)));
+        seen.count()
+    };
+    let (sharp, smooth) = (blended(&full), blended(&fine));
+    assert!(
+        smooth > 30 && sharp == 0,
+        "{sharp} and {smooth} of {}",
+        outline.len()
+    );
 }
 
 /// How many pixels of a plane below a ball at `height_m` are in penumbra: they get more light than
@@ -215,32 +219,6 @@ fn a_fine_shadow_of_a_higher_caster_has_a_wider_edge() {
     });
     // Against the edges of full shading, which are four taps wide whatever casts them.
     assert!(high > 1.6 && high > 2.5 * low && low < 1.5, "{low} {high}");
-}
-
-/// A pinhole, and a lens whose picture is made from a larger one.
-#[test]
-fn a_deferred_picture_is_the_one_that_is_drawn_at_once() {
-    let (visuals, poses) = lift_scene();
-    let bent = Distortion::new([-0.5, 0.2, 0.01, -0.015]);
-    let mut renderer = Renderer::new(&visuals).unwrap();
-    for distortion in [Distortion::NONE, bent] {
-        let mut camera = endoscope(260);
-        camera.intrinsics.distortion = distortion;
-        let [at_once, deferred] = [false, true].map(|defers| {
-            make_fine(&mut renderer, defers);
-            shoot(&mut renderer, &poses, &camera)
-        });
-        assert!(at_once.instance == deferred.instance && at_once.depth_m == deferred.depth_m);
-        // Where several triangles of a thing share a pixel only its middle counts.
-        let bytes = at_once.colour.iter().zip(&deferred.colour);
-        let apart: Vec<u8> = bytes.map(|(a, b)| a.abs_diff(*b)).collect();
-        let over = |most: u8| apart.iter().filter(|apart| **apart > most).count();
-        let (some, far) = (over(4), over(40));
-        assert!(
-            0 < some && some * 50 < apart.len() && far * 1000 < apart.len(),
-            "{some} {far}"
-        );
-    }
 }
 
 #[test]
