@@ -1,10 +1,11 @@
 //! Deferred shading of fine pictures: what is seen at each pixel's centre is drawn into a G-buffer of
 //! two images, and a compute pass works its colour out, once a pixel. An H100 or H200 has many times
-//! the processors for it that it has for fragments; a software rasteriser gains as well.
+//! the processors for it that it has for fragments; a software rasteriser gains in most
+//! scenes (`tests/benches/RESULTS.md`).
 //!
 //! Then the scene is drawn with several samples a pixel, each of which takes the colour of that
 //! pixel around it that is most like its surface, so edges are smooth. What covers no pixel's centre
-//! is not seen, and triangles that are smaller than a pixel are not blended. Group 2: 0 and 1 the
+//! is not seen: a thread thinner than a pixel breaks up. Triangles smaller than a pixel are not blended. Group 2: 0 and 1 the
 //! G-buffer, 2 what it is shaded into, 3 the same to read.
 
 use hal::Intrinsics;

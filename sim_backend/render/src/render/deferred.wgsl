@@ -97,6 +97,7 @@ fn shade_gbuffer(@builtin(global_invocation_id) pixel: vec3u) {
 
 struct Sampled {
     @builtin(position) clip: vec4f,
+    // At the centroid, or of pixels that a silhouette crosses what is beyond it would be looked for.
     @interpolate(perspective, centroid) @location(0) normal: vec3f,
     @interpolate(perspective, centroid) @location(1) range: f32,
     @interpolate(flat) @location(2) part: u32,

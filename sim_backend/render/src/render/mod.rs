@@ -93,21 +93,21 @@ pub enum Shading {
     Full,
     /// For pictures that people look at: edges smoothed over the pixel, light that comes through
     /// thin tissue, hollows that the light from all around does not reach (both baked by rays when
-    /// it is chosen first). A software rasteriser
-    /// takes 3 to 5 times as long (`tests/benches/RESULTS.md`).
+    /// it is chosen first). A software rasteriser takes 2.5 to 4 times as long
+    /// (`tests/benches/RESULTS.md`).
     ///
     /// Shadows have penumbras (percentage-closer soft shadows, R. Fernando, 2005) of a light guide
     /// of 4 mm: they grow with the height of the caster over the surface, up to 3 mm wide.
     ///
-    /// It is shaded in a compute pass, at each pixel's centre: what covers no centre, such as a
-    /// thread thinner than a pixel, breaks up as in full shading.
+    /// It is shaded in a compute pass, at each pixel's centre. What covers no centre is not seen: a
+    /// thread thinner than a pixel breaks up.
     ///
     /// Relief of patterned surfaces and of the film on them is steeper than in full shading, so
     /// that tissue glistens in more places, what is mirrored has more of its colour, and what is
     /// behind everything is out of focus. Full shading is without these, for policies are trained
     /// on it.
     Fine,
-    /// Painted colours in the same light without any of these, in 0.4 to 0.6 of the time.
+    /// Painted colours in the same light without any of these, in 0.5 to 0.8 of the time.
     Plain,
 }
 

@@ -68,15 +68,6 @@ pub(super) struct Surfaces {
     backdrop: wgpu::RenderPipeline,
 }
 
-/// What such a pass makes of surfaces.
-#[derive(Clone, Copy)]
-enum Output {
-    /// Their colour in the light.
-    Colour,
-    /// What their colour is worked out from later.
-    GBuffer,
-}
-
 impl Shaders {
     /// Compiles all of them.
     fn new(device: &wgpu::Device) -> Self {
@@ -231,44 +222,49 @@ impl Pipelines {
 
 impl Colours {
     fn new(device: &wgpu::Device, shaders: &Shaders, shading: Shading) -> Self {
-        let surfaces = |output| Surfaces::new(device, shaders, shading, output);
-        if shading == Shading::Fine {
-            let gbuffer = surfaces(Output::GBuffer);
-            return Self::Deferred(Deferred::new(device, shaders, gbuffer, &constants(shading)));
+        let surfaces = Surfaces::new(device, shaders, shading);
+        match shading {
+            Shading::Fine => {
+                let constants = constants(shading);
+                Self::Deferred(Deferred::new(device, shaders, surfaces, &constants))
+            }
+            Shading::Full | Shading::Plain => Self::AtOnce(surfaces),
         }
-        Self::AtOnce(surfaces(Output::Colour))
     }
 }
 
 impl Surfaces {
-    fn new(device: &wgpu::Device, shaders: &Shaders, shading: Shading, output: Output) -> Self {
+    /// Those that make colours, or a G-buffer in fine shading.
+    fn new(device: &wgpu::Device, shaders: &Shaders, shading: Shading) -> Self {
         let layout = shaders.layout(device, None);
         let pipeline = |vertex, fragment| {
             surface_pipeline(
                 device,
                 &shaders.module,
                 &layout,
-                (shading, output),
+                shading,
                 [vertex, fragment],
             )
         };
-        let vertex = match shading {
-            Shading::Fine => "baked_vertex",
-            Shading::Full | Shading::Plain => "scene_vertex",
-        };
-        let [patterned, smooth, brushed, backdrop] = match output {
-            Output::Colour => [
-                "patterned_fragment",
-                "smooth_fragment",
-                "brushed_fragment",
-                "backdrop_fragment",
-            ],
-            Output::GBuffer => [
-                "patterned_gbuffer",
-                "smooth_gbuffer",
-                "brushed_gbuffer",
-                "backdrop_gbuffer",
-            ],
+        let (vertex, [patterned, smooth, brushed, backdrop]) = match shading {
+            Shading::Fine => (
+                "baked_vertex",
+                [
+                    "patterned_gbuffer",
+                    "smooth_gbuffer",
+                    "brushed_gbuffer",
+                    "backdrop_gbuffer",
+                ],
+            ),
+            Shading::Full | Shading::Plain => (
+                "scene_vertex",
+                [
+                    "patterned_fragment",
+                    "smooth_fragment",
+                    "brushed_fragment",
+                    "backdrop_fragment",
+                ],
+            ),
         };
         Self {
             patterned: pipeline(vertex, patterned),
@@ -426,12 +422,12 @@ fn surface_pipeline(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
     layout: &wgpu::PipelineLayout,
-    (shading, output): (Shading, Output),
+    shading: Shading,
     [vertex, fragment]: [&'static str; 2],
 ) -> wgpu::RenderPipeline {
-    let targets = match output {
-        Output::Colour => &[whole(COLOUR_FORMAT)][..],
-        Output::GBuffer => &[whole(GBUFFER_FORMAT), whole(GBUFFER_FORMAT)][..],
+    let targets = match shading {
+        Shading::Fine => &[whole(GBUFFER_FORMAT), whole(GBUFFER_FORMAT)][..],
+        Shading::Full | Shading::Plain => &[whole(COLOUR_FORMAT)][..],
     };
     let constants = constants(shading);
     let behind = vertex == BACKDROP;

@@ -74,7 +74,7 @@ struct Object {
 
 struct Varying {
     @builtin(position) @invariant clip: vec4f,
-    // At the centroid, or pixels that a silhouette crosses would be shaded beyond it.
+    // With one sample a pixel the centroid is its centre.
     @interpolate(perspective, centroid) @location(0) position: vec3f,
     @interpolate(perspective, centroid) @location(1) object_position: vec3f,
     @interpolate(perspective, centroid) @location(2) object_normal: vec3f,

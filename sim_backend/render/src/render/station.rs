@@ -38,9 +38,9 @@ pub(super) struct Plot<'a> {
     pub(super) records: &'a wgpu::BindGroupLayout,
     /// Objects of the scene.
     pub(super) parts: usize,
-    /// It decides samples a pixel, and whether optics are shown.
+    /// It decides which targets fit, and whether optics are shown.
     pub(super) shading: Shading,
-    /// In fine shading.
+    /// What shades fine pictures.
     pub(super) deferred: Option<&'a Deferred>,
     /// Largest side of an image, pixels.
     pub(super) size_px_max: u32,

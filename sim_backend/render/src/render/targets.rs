@@ -39,7 +39,7 @@ struct Plane {
 pub(super) struct Targets {
     /// Of the picture that it was made for.
     intrinsics: Intrinsics,
-    /// It decides `samples` and `gbuffer`.
+    /// Of the pictures that are taken here.
     shading: Shading,
     /// What the picture is seen through, if not by a clean pinhole.
     pub(super) lens: Option<Lens>,

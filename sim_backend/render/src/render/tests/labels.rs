@@ -102,6 +102,9 @@ fn shading_changes_colours_alone() {
         assert!(full.colour != other.colour);
     }
     assert!(full.colour == again.colour);
+    renderer.set_shading(Shading::Fine);
+    let again = shoot(&mut renderer, &poses, &camera);
+    assert!(fine.colour == again.colour);
 }
 
 #[test]
