@@ -1,16 +1,19 @@
-//! Deferred shading of fine pictures: what is seen at each pixel's centre is drawn into a G-buffer of
-//! two images, and a compute pass works its colour out, once a pixel. An H100 or H200 has many times
-//! the processors for it that it has for fragments; a software rasteriser gains in most
-//! scenes (`tests/benches/RESULTS.md`).
+//! Deferred shading of fine pictures: what is seen at each pixel's centre is drawn into a G-buffer
+//! of two images, and a compute pass works its colour out, once a pixel. An H100 or H200 has many
+//! times the processors for it that it has for fragments; a software rasteriser gains in most scenes
+//! (`tests/benches/RESULTS.md`).
 //!
 //! Then the scene is drawn with several samples a pixel, each of which takes the colour of that
 //! pixel around it that is most like its surface, so edges are smooth. What covers no pixel's centre
-//! is not seen: a thread thinner than a pixel breaks up. Triangles smaller than a pixel are not blended. Group 2: 0 and 1 the
-//! G-buffer, 2 what it is shaded into, 3 the same to read.
+//! is not seen: a thread thinner than a pixel breaks up. Triangles smaller than a pixel are not
+//! blended. Group 2: 0 and 1 the G-buffer, 2 what it is shaded into, 3 the same to read.
 
 use hal::Intrinsics;
 
-use super::pipelines::{BACKDROP, Shaders, Surfaces, VERTEX, culled, unbiased, visibility};
+use super::Shading;
+use super::pipelines::{
+    BACKDROP, Shaders, Surfaces, VERTEX, constants, culled, unbiased, visibility,
+};
 use super::records::Records;
 use super::scene::Scene;
 use super::targets::depth_attachment;
@@ -50,13 +53,8 @@ pub(super) struct GBuffer {
 }
 
 impl Deferred {
-    /// With the pipelines that draw the G-buffer, and with the constants of the shading.
-    pub(super) fn new(
-        device: &wgpu::Device,
-        shaders: &Shaders,
-        surfaces: Surfaces,
-        constants: &[(&str, f64)],
-    ) -> Self {
+    /// With the pipelines that draw the G-buffer.
+    pub(super) fn new(device: &wgpu::Device, shaders: &Shaders, surfaces: Surfaces) -> Self {
         let [gbuffer_layout, shaded_layout] = layouts(device);
         let shade = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("shade"),
@@ -64,7 +62,7 @@ impl Deferred {
             module: &shaders.module,
             entry_point: Some("shade_gbuffer"),
             compilation_options: wgpu::PipelineCompilationOptions {
-                constants,
+                constants: &constants(Shading::Fine),
                 ..Default::default()
             },
             cache: None,

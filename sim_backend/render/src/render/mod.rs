@@ -384,7 +384,7 @@ impl Renderer {
             records,
         );
         self.pipelines
-            .draw_colour(&mut encoder, targets, &self.scene, records);
+            .draw_colour(&mut encoder, targets, &self.scene, records)?;
         if let (Some(lens), Some(pass)) = (lens, &self.lens_pass) {
             lens.place(queue, camera, self.shading.shows_optics());
             pass.draw(&mut targets.begin_picture(&mut encoder), lens);

@@ -1,5 +1,5 @@
-//! The passes: shadow map from the light, then ids and range, then colour from the camera, at once or
-//! from a G-buffer that is shaded before (`deferred`).
+//! The passes: shadow map from the light, then ids and range, then colour from the camera, at once
+//! or from a G-buffer that is shaded before (`deferred`).
 //!
 //! All scene shaders are one module of six files, joined as text; entry points choose the pass.
 //! Shadow and labels bind group 0 alone and take one sample; colour binds the maps too. Front faces
@@ -16,7 +16,7 @@ use super::targets::{FAR, Targets, depth_attachment};
 use super::textures::{
     COLOUR_FORMAT, DEPTH_FORMAT, GBUFFER_FORMAT, INSTANCE_FORMAT, RANGE_FORMAT, texture, whole,
 };
-use super::{Shading, maps};
+use super::{RenderError, Shading, maps};
 use crate::visual::Pattern;
 
 /// Side of the square shadow map, texels.
@@ -190,15 +190,17 @@ impl Pipelines {
         scene.draw(pass, camera, |_| None);
     }
 
-    /// Draws the scene as the camera sees it, after [`Self::draw_labels`]: `targets` were made for
-    /// these pipelines.
+    /// Draws the scene as the camera sees it, after [`Self::draw_labels`].
+    ///
+    /// # Errors
+    /// Targets that were made for another shading.
     pub(super) fn draw_colour(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         targets: &Targets,
         scene: &Scene,
         camera: &Records,
-    ) {
+    ) -> Result<(), RenderError> {
         match (&self.colours, targets.gbuffer()) {
             (Colours::Deferred(deferred), Some((gbuffer, depth))) => {
                 let mut pass = gbuffer.begin(encoder, depth);
@@ -210,13 +212,16 @@ impl Pipelines {
                 pass.set_bind_group(1, &self.maps, &[]);
                 deferred.draw(&mut pass, scene, camera, gbuffer);
             }
-            (Colours::Deferred(_), None) => debug_assert!(false, "targets without a G-buffer"),
+            (Colours::Deferred(_), None) => {
+                return Err(RenderError::Gpu("targets without a G-buffer".to_owned()));
+            }
             (Colours::AtOnce(surfaces), _) => {
                 let mut pass = targets.begin_colour(encoder);
                 pass.set_bind_group(1, &self.maps, &[]);
                 surfaces.draw(&mut pass, scene, camera);
             }
         }
+        Ok(())
     }
 }
 
@@ -224,10 +229,7 @@ impl Colours {
     fn new(device: &wgpu::Device, shaders: &Shaders, shading: Shading) -> Self {
         let surfaces = Surfaces::new(device, shaders, shading);
         match shading {
-            Shading::Fine => {
-                let constants = constants(shading);
-                Self::Deferred(Deferred::new(device, shaders, surfaces, &constants))
-            }
+            Shading::Fine => Self::Deferred(Deferred::new(device, shaders, surfaces)),
             Shading::Full | Shading::Plain => Self::AtOnce(surfaces),
         }
     }
@@ -404,7 +406,7 @@ fn label_pipeline(
 }
 
 /// `FULL` and `FINE` are constants, so what a shading leaves out is not in its code.
-fn constants(shading: Shading) -> [(&'static str, f64); 6] {
+pub(super) fn constants(shading: Shading) -> [(&'static str, f64); 6] {
     let full = shading != Shading::Plain;
     [
         ("FULL", f64::from(u8::from(full))),
@@ -417,7 +419,8 @@ fn constants(shading: Shading) -> [(&'static str, f64); 6] {
 }
 
 /// Depth is compared by less or equal with the labels' and not written: only what is seen is looked
-/// at, and what is behind everything where nothing else is. Both passes compute the same positions bit by bit (`@invariant`).
+/// at, and what is behind everything where nothing else is. Both passes compute the same positions
+/// bit by bit (`@invariant`).
 fn surface_pipeline(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,

@@ -46,9 +46,6 @@ struct Part {
     layer: f32,
     /// Factors of its linear colour.
     tint: [f32; 3],
-    /// Counts the parts, from 1; see `deferred.wgsl`. Beyond 65535 they share it, and an edge between
-    /// two of them is found by its normals or its step.
-    number: u16,
     instance: u8,
 }
 
@@ -94,9 +91,7 @@ impl Scene {
             let base_vertex = i32::try_from(vertex_count).map_err(|_| too_many())?;
             let end = index_count.checked_add(new_indices).ok_or_else(too_many)?;
             let layer = paints.layer(&Wanted::of(visual));
-            let number = u16::try_from(parts.len() + 1).unwrap_or(u16::MAX);
-            let drawn = (index_count..end, base_vertex);
-            parts.push(Part::new(visual, layer, drawn, number));
+            parts.push(Part::new(visual, layer, index_count..end, base_vertex));
             index_count = end;
             vertex_count = vertex_count
                 .checked_add(new_vertices)
@@ -224,7 +219,7 @@ impl Scene {
         for (index, (part, pose)) in (0_u32..).zip(self.parts.iter().zip(poses)) {
             let eye_from_object = eye.eye_from_scene * pose;
             let end = self.bytes.len() + OBJECT_STRIDE as usize;
-            part.write(&eye_from_object, &mut self.bytes);
+            part.write(&eye_from_object, index, &mut self.bytes);
             self.bytes.resize(end, 0);
             self.order
                 .push(((eye_from_object * part.centre).z - part.radius_m, index));
@@ -280,12 +275,7 @@ fn unrolled(position: &[f32; 3], normal: &[f32; 3]) -> [f32; 2] {
 }
 
 impl Part {
-    fn new(
-        visual: &Visual,
-        layer: f32,
-        (indices, base_vertex): (core::ops::Range<u32>, i32),
-        number: u16,
-    ) -> Self {
+    fn new(visual: &Visual, layer: f32, indices: core::ops::Range<u32>, base_vertex: i32) -> Self {
         let (centre, radius_m) = ball(&visual.mesh);
         Self {
             name: visual.name,
@@ -297,13 +287,15 @@ impl Part {
             material: visual.material,
             layer,
             tint: [1.0; 3],
-            number,
             instance: visual.instance,
         }
     }
 
     /// Appends its object record but for the padding, see `records`.
-    fn write(&self, eye_from_object: &Isometry3<f64>, bytes: &mut Vec<u8>) {
+    ///
+    /// Parts are numbered from 1 by their `index`. Beyond 65535 they share a number, and an edge
+    /// between two of them is found by its normals or its step (`deferred.wgsl`).
+    fn write(&self, eye_from_object: &Isometry3<f64>, index: u32, bytes: &mut Vec<u8>) {
         put_matrix(bytes, &eye_from_object.to_homogeneous());
         let surface = &self.material;
         put(bytes, &surface.base_colour);
@@ -319,7 +311,8 @@ impl Part {
             ],
         );
         put(bytes, &self.tint);
-        put(bytes, &[f32::from(self.number)]);
+        let number = u16::try_from(index + 1).unwrap_or(u16::MAX);
+        put(bytes, &[f32::from(number)]);
     }
 }
 

@@ -1,9 +1,9 @@
 //! The images on the device and the way they come back: one staging buffer, mapped once a frame.
 //!
 //! Ids and range are drawn first, with one sample a pixel and no blending. Colour follows in a pass
-//! of its own: with one sample on the first pass's depth, or smoothed over the pixel by several, which
-//! take colours that were shaded before (`deferred`). Where there is a lens
-//! these are images of its own, and a last pass makes the picture of them.
+//! of its own: with one sample on the first pass's depth, or smoothed over the pixel by several,
+//! which take colours that were shaded before (`deferred`). Where there is a lens these are images
+//! of its own, and a last pass makes the picture of them.
 //!
 //! Rows in the staging buffer begin at multiples of 256 bytes, as copies demand; unpacking leaves
 //! the padding and colour's fourth byte out. The device's byte order is the machine's.
@@ -35,6 +35,14 @@ struct Plane {
     pitch_bytes: u32,
 }
 
+/// What a picture with smooth edges takes besides.
+struct Smoothed {
+    /// Colour and depth of all samples.
+    samples: [wgpu::TextureView; 2],
+    /// What is shaded before colour is drawn.
+    gbuffer: GBuffer,
+}
+
 /// Everything of one image size, and of one distortion.
 pub(super) struct Targets {
     /// Of the picture that it was made for.
@@ -51,10 +59,8 @@ pub(super) struct Targets {
     range: Plane,
     /// Visibility of the labels; what takes one sample is drawn on it.
     depth: wgpu::TextureView,
-    /// Colour and depth of all samples.
-    samples: Option<[wgpu::TextureView; 2]>,
-    /// What is shaded before colour is drawn, in fine shading.
-    gbuffer: Option<GBuffer>,
+    /// In fine shading.
+    smoothed: Option<Smoothed>,
     /// All three planes, one after the other; mapped once an image.
     staging: wgpu::Buffer,
 }
@@ -106,13 +112,13 @@ impl Targets {
             .create_view(&wgpu::TextureViewDescriptor::default())
         };
         let depth = drawn("depth", DEPTH_FORMAT, 1);
-        let samples = deferred.map(|_| {
-            [
+        let smoothed = deferred.map(|deferred| Smoothed {
+            samples: [
                 drawn("colour samples", COLOUR_FORMAT, SAMPLES),
                 drawn("depth samples", DEPTH_FORMAT, SAMPLES),
-            ]
+            ],
+            gbuffer: GBuffer::new(device, deferred, &image),
         });
-        let gbuffer = deferred.map(|deferred| GBuffer::new(device, deferred, &image));
         let staging = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read-back"),
             size: end,
@@ -127,8 +133,7 @@ impl Targets {
             instance,
             range,
             depth,
-            samples,
-            gbuffer,
+            smoothed,
             staging,
         }
     }
@@ -199,7 +204,8 @@ impl Targets {
     /// What is shaded after [`Self::begin_labels`] and before [`Self::begin_colour`], and the depth
     /// of the labels.
     pub(super) fn gbuffer(&self) -> Option<(&GBuffer, &wgpu::TextureView)> {
-        self.gbuffer.as_ref().map(|gbuffer| (gbuffer, &self.depth))
+        let smoothed = self.smoothed.as_ref()?;
+        Some((&smoothed.gbuffer, &self.depth))
     }
 
     /// Starts the pass that draws colour, after [`Self::begin_labels`].
@@ -209,7 +215,7 @@ impl Targets {
     ) -> wgpu::RenderPass<'pass> {
         let black = wgpu::LoadOp::Clear(wgpu::Color::BLACK);
         let [image, ..] = self.drawn();
-        let (colour, depth) = match &self.samples {
+        let (colour, depth) = match self.smoothed.as_ref().map(|smoothed| &smoothed.samples) {
             Some([colour, depth]) => {
                 let mut smoothed = attachment(colour, black);
                 smoothed.resolve_target = Some(image);

@@ -152,7 +152,8 @@ fn edges_are_smooth_in_colour_and_sharp_in_ids() {
     assert!((40..400).contains(&at_edges), "{at_edges}");
     let elsewhere = inside.iter().filter(|pixel| changed(pixel)).count();
     assert_eq!(elsewhere, 0);
-    // Along the outline pixels are covered in part, and neither as bright as the box nor as dark as the wall.
+    // Along the outline pixels are covered in part, and neither as bright as the box nor as dark as
+    // the wall.
     let mut outline: Vec<usize> = (0..full.instance.len()).collect();
     for id in [100, 200] {
         let whole = within(&full, id);
