@@ -21,20 +21,18 @@ pub struct Thumbnails {
 /// Time between two policy steps, which is that between two pictures of an animation, ms.
 pub const STEP_MS: u32 = 40;
 
-/// Width of one image, pixels.
+/// Width of one image at most, pixels.
 const WIDTH: u32 = 256;
 
 impl Thumbnails {
-    /// Keeps a copy of `frame`, scaled down.
+    /// Keeps a copy of `frame`, scaled down to 256 pixels across where it has more.
     pub fn push(&mut self, frame: &CameraFrame) {
         let (width, height) = (frame.intrinsics.width, frame.intrinsics.height);
-        if let Some(full) = RgbImage::from_raw(width, height, frame.colour.clone()) {
-            let scaled = imageops::resize(
-                &full,
-                WIDTH,
-                WIDTH * height / width.max(1),
-                FilterType::Triangle,
-            );
+        if width <= WIDTH {
+            self.push_whole(frame);
+        } else if let Some(full) = RgbImage::from_raw(width, height, frame.colour.clone()) {
+            let scaled =
+                imageops::resize(&full, WIDTH, WIDTH * height / width, FilterType::Triangle);
             self.frames.push(scaled);
         }
     }

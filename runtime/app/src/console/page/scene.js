@@ -21,6 +21,8 @@ export class Scene {
   #nodes = [];
   #cameras = [];
   #paths = [];
+  /** The time of the newest places, s; the canvas says it once they are drawn. */
+  #seconds;
   #home = HOME;
   #eye = structuredClone(HOME);
   /** How it is turned in a headset, degrees. */
@@ -107,7 +109,7 @@ export class Scene {
     for (const { index, positions, normals } of bent) {
       for (const drawing of [this.#drawing, this.#far?.drawing]) drawing?.bend(index, positions, normals);
     }
-    this.canvas.dataset.seconds = seconds.toFixed(3);
+    this.#seconds = seconds.toFixed(3);
     this.#ask();
   }
 
@@ -168,6 +170,7 @@ export class Scene {
     const away = [Math.cos(tilt) * Math.cos(turn), Math.cos(tilt) * Math.sin(turn), Math.sin(tilt)];
     const from = centre.map((value, axis) => value + distance * away[axis]);
     this.#drawing.draw({ ...eyeMatrix(from, centre, width / height), from, width, height, background: [0.09, 0.11, 0.13], ...this.#seen() });
+    if (this.#seconds !== undefined) this.canvas.dataset.seconds = this.#seconds;
     this.canvas.dataset.paths = this.#paths.reduce((sum, { points }) => sum + points.length, 0);
     this.canvas.dataset.drawn = Number(this.canvas.dataset.drawn ?? 0) + 1;
   }
