@@ -95,7 +95,8 @@ pub struct Material {
     /// flesh, which light gets under: all of it from 0.5 on.
     pub wetness: f32,
     /// Amount of the pattern's relief, 0 to 1: a factor of its slopes. Without relief in plain
-    /// shading.
+    /// shading. Of smooth dielectrics without a film it is how worn they are in fine shading:
+    /// smudged and scratched. Wear moves with the object, and does not follow a mesh that bends.
     pub detail: f32,
     /// What is painted on it.
     pub pattern: Pattern,
@@ -108,7 +109,7 @@ pub struct Material {
 /// square of 0.18 m, a layer each, and mirrored beyond it (`bake.wgsl`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pattern {
-    /// One even colour.
+    /// One even colour, but for wear in fine shading ([`Material::detail`]).
     #[default]
     Smooth,
     /// Fine grooves around the object's z axis, of machined metal.

@@ -104,8 +104,8 @@ pub enum Shading {
     ///
     /// Relief of patterned surfaces and of the film on them is steeper than in full shading, so
     /// that tissue glistens in more places, what is mirrored has more of its colour, and what is
-    /// behind everything is out of focus. Full shading is without these, for policies are trained
-    /// on it.
+    /// behind everything is out of focus; paint is worn. Full shading is without these, for policies
+    /// are trained on it.
     Fine,
     /// Painted colours in the same light without any of these, in 0.5 to 0.8 of the time.
     Plain,

@@ -3,7 +3,7 @@
 
 // Shadows, surroundings and relief, or none of them.
 override FULL: bool = true;
-// Shadows with penumbras, light that seeps under the surface of tissue and breaks in the film on it.
+// Shadows with penumbras, light that seeps under the surface of tissue and breaks in the film on it, worn paint.
 override FINE: bool = false;
 // Side of the image that a pattern is painted in, m.
 override PATTERN_SIZE_M: f32 = 0.18;

@@ -61,6 +61,26 @@ fn patterned_fragment(in: Varying) -> @location(0) vec4f {
     return exposed(shade(patterned(in)));
 }
 
+// Wear of a coat or paint at `p`: the relative change of roughness (x), and how much lighter it is (y). Smudges everywhere; scratches
+// in places, along z on steep faces, in two directions on level ones.
+fn wear(p: vec3f, n: vec3f) -> vec2f {
+    var at = p.xy;
+    var scratches = 0.0;
+    if abs(n.z) > 0.7 {
+        // Domain warping: scratches are not straight.
+        let bent = at + 0.005 * vec2f(noise(85.0 * at, 11), noise(70.0 * at, 12));
+        let aslant = vec2f(0.6 * bent.x + 0.8 * bent.y, 0.6 * bent.y - 0.8 * bent.x);
+        scratches = max(noise(vec2f(2400.0, 85.0) * bent, 13), noise(vec2f(2700.0, 140.0) * aslant, 14));
+    } else {
+        at = vec2f(length(p.xy) * atan2(p.y, p.x), p.z);
+        scratches = noise(vec2f(2400.0, 85.0) * at, 13);
+    }
+    let handled = noise(55.0 * at, 9);
+    let smudge = 0.5 * handled + 0.5 * noise(410.0 * at, 10) - 0.5;
+    let scratched = smoothstep(0.80, 0.97, scratches) * smoothstep(0.45, 0.75, handled);
+    return vec2f(0.7 * smudge + 0.5 * scratched, 0.4 * smudge + scratched);
+}
+
 fn smooth_surface(in: Varying) -> Surface {
     var s: Surface;
     s.position = in.position;
@@ -71,7 +91,17 @@ fn smooth_surface(in: Varying) -> Surface {
     s.metallic = object.metallic;
     s.roughness = object.roughness;
     s.wetness = object.wetness;
-    s.open = select(1.0, in.baked.x, FINE);
+    s.open = 1.0;
+    if FINE {
+        s.open = in.baked.x;
+        // How worn it is: neither metal nor what is wet.
+        let worn = object.detail * (1.0 - s.metallic) * (1.0 - min(10.0 * s.wetness, 1.0));
+        if worn > 0.0 {
+            let change = worn * wear(in.object_position, normalize(in.object_normal));
+            s.roughness *= 1.0 + change.x;
+            s.base_colour = s.base_colour * (1.0 + 0.10 * change.y) + 0.007 * max(change.y, 0.0);
+        }
+    }
     return s;
 }
 

@@ -58,7 +58,7 @@ const SHAFT_COAT: Material = Material {
     metallic: 0.0,
     roughness: 0.42,
     wetness: 0.0,
-    detail: 0.0,
+    detail: 1.0,
     pattern: Pattern::Smooth,
 };
 

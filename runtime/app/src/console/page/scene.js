@@ -138,6 +138,9 @@ export class Scene {
       const nodes = parseScene(await answer.arrayBuffer());
       this.#drawing.set(nodes);
       this.#nodes = nodes;
+      // Until their places come it is drawn as the file has it.
+      this.#seconds = undefined;
+      delete this.canvas.dataset.seconds;
       this.#far?.drawing.set(nodes);
       this.#cameras = nodes.filter((node) => node.kind === "camera");
       this.problem.hidden = true;

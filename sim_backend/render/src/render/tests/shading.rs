@@ -120,10 +120,11 @@ fn another_part_of_a_pattern_looks_different() {
 
 #[test]
 fn edges_are_smooth_in_colour_and_sharp_in_ids() {
+    // Brushed without grooves, for smooth paint may be worn.
     let white = Material {
         base_colour: [0.9; 3],
         metallic: 0.0,
-        pattern: Pattern::Smooth,
+        detail: 0.0,
         ..STEEL
     };
     let dark = Material {
@@ -175,6 +176,67 @@ fn edges_are_smooth_in_colour_and_sharp_in_ids() {
     // And none has a colour from elsewhere.
     let greatest = levels(200).into_iter().fold(0.0, f64::max) + 12.0;
     assert!(outline.iter().all(|pixel| grey(&fine, *pixel) < greatest));
+}
+
+/// Greatest difference, grey levels, between a board with that finish and an unworn one: brushed,
+/// without grooves.
+fn wear(shading: Shading, finish: Material) -> f64 {
+    let shot = |material| {
+        let board = Visual::new(
+            "board",
+            cuboid(Vector3::new(0.03, 0.03, 0.001)),
+            material,
+            1,
+        );
+        let opened = Renderer::with_backdrop(&[board], &Backdrop::CAVITY, shading);
+        shoot(
+            &mut opened.unwrap(),
+            &[at(0.0, 0.0, 0.1)],
+            &Camera {
+                camera_in_scene: Pose::identity(),
+                ..endoscope(128)
+            },
+        )
+    };
+    let unworn = shot(Material {
+        detail: 0.0,
+        pattern: Pattern::Brushed,
+        ..finish
+    });
+    let worn = shot(finish);
+    let board = within(&worn, 1);
+    let differences = board
+        .iter()
+        .map(|pixel| grey(&worn, *pixel) - grey(&unworn, *pixel));
+    differences.map(f64::abs).fold(0.0, f64::max)
+}
+
+#[test]
+fn paint_is_worn_in_fine_pictures() {
+    let steel = Material {
+        pattern: Pattern::Smooth,
+        ..STEEL
+    };
+    let paint = Material {
+        base_colour: [0.3; 3],
+        metallic: 0.0,
+        detail: 1.0,
+        ..steel
+    };
+    let moist = Material {
+        wetness: 0.1,
+        ..paint
+    };
+    let new = Material {
+        detail: 0.0,
+        ..paint
+    };
+    let levels = wear(Shading::Fine, paint);
+    assert!((4.0..25.0).contains(&levels), "{levels}");
+    for unworn in [steel, moist, new] {
+        assert!(wear(Shading::Fine, unworn) < 1.0);
+    }
+    assert!(wear(Shading::Full, paint) < 1.0);
 }
 
 /// How many pixels of a plane below a ball at `height_m` are in penumbra: they get more light than

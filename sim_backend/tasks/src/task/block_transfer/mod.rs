@@ -246,7 +246,7 @@ const fn paint(base_colour: [f32; 3]) -> Material {
         metallic: 0.0,
         roughness: 0.38,
         wetness: 0.0,
-        detail: 0.0,
+        detail: 1.0,
         pattern: Pattern::Smooth,
     }
 }
